@@ -42,7 +42,7 @@ from agents.training.callbacks import Epoch
 from agents.training.config import CONFIG, TrainConfig, file_name, finished
 from agents.training.derive import failed_runs
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
-from agents.training.files import check_file, check_folder
+from agents.training.files import check_folder
 
 if TYPE_CHECKING:
     from agents.reporting.study import Study
@@ -303,9 +303,15 @@ def report(
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
-    how = {"archive": file, "out": folder, "columns": PAPER if columns is None else columns}
-    how |= {"study": study or STUDY, "window": window}
-    return markdown(write_report(*folders_of(*paths), **how).blocks)
+    written = write_report(
+        *folders_of(*paths),
+        study=study or STUDY,
+        archive=file,
+        out=folder,
+        columns=PAPER if columns is None else columns,
+        window=window,
+    )
+    return markdown(written.blocks)
 
 
 def compare(
@@ -349,14 +355,9 @@ def plot(
 
     Raises UserError where no run is complete, and for a name that no curve has.
     """
-    from agents.reporting.plot import SUFFIXES
     from agents.reporting.plot import plot as draw
 
-    file = Path(out)
-    if file.suffix.lower() not in SUFFIXES:
-        raise UserError(f"out must end in {', '.join(SUFFIXES)}, got {str(out)!r}")
-    check_file(file)
-    return draw(folders_of(*paths), file, measures, names, colours, width)
+    return draw(folders_of(*paths), Path(out), measures, names, colours, width).words
 
 
 SETTINGS = (

@@ -112,11 +112,12 @@ class Runs:
         return "\n".join(markdown(table(folder, STUDY)) for folder in self.folders)
 
     def to_pandas(self, rows: Rows = "measures") -> pandas.DataFrame:
-        """The tidy frame that reports are made from: a row for each measure of each complete run.
+        """The tidy frame that reports are made from: a row for each measure of each run.
 
-        Its columns: group (a number for each folder, task and cost), task, algorithm, settings,
-        cost, folder, seed, ends_in, measure, part (end of the third of training, NaN for the
-        whole), value.
+        Its columns: source, group (a number for each folder, task and cost), name (in tables),
+        task, algorithm, settings, cost, limit, folder, seed, steps, ends_in, measure, part (end of
+        the third of training, NaN for the whole), window, value, and failure (why a run is not
+        complete, which has no values): see `agents.results.frame.frame`.
 
         rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
         run so far, "evaluations" for each episode of the evaluations on the way (`evaluate_every`)

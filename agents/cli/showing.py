@@ -67,9 +67,14 @@ def report(args: Sequence[str]) -> int:
 
     options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
-        how = {"archive": options.archive, "out": options.out, "columns": options.columns}
-        how |= {"study": STUDY, "window": options.window}
-        written = write_report(*options.folders, **how)
+        written = write_report(
+            *options.folders,
+            study=STUDY,
+            archive=options.archive,
+            out=options.out,
+            columns=options.columns,
+            window=options.window,
+        )
     show(written.blocks, options.width, str(written.page))
     return int(bool(written.left_out))
 
@@ -96,14 +101,20 @@ class PlotOptions(Settings):
 
 def plot(args: Sequence[str]) -> int:
     """Run `circle2d plot`; returns the exit status: 1 where runs had to be left out."""
-    from agents.api import plot as draw
+    from agents.reporting.plot import plot as draw
 
     options = parse(PlotOptions, "plot", args)
-    look = {"names": options.names, "colours": options.colours, "width": options.width}
     with working("reading runs"):
-        words = draw(*options.folders, out=options.out, measures=options.measure, **look)
-    print(f"{options.out}\nCaption: {words}")
-    return int("left out: " in words)
+        drawn = draw(
+            options.folders,
+            options.out,
+            measures=options.measure,
+            names=options.names,
+            colours=options.colours,
+            width=options.width,
+        )
+    print(f"{options.out}\nCaption: {drawn.words}")
+    return int(bool(drawn.left_out))
 
 
 @dataclass(frozen=True)
@@ -168,12 +179,13 @@ class CompareOptions(Settings):
 def compare(args: Sequence[str]) -> int:
     """Run `circle2d compare`; returns the exit status: 1 where runs had to be left out."""
     from agents.reporting.compare import compare as compare_runs
+    from agents.results.reading import LeftOut
 
     options = parse(CompareOptions, "compare", args)
     with working("reading runs and drawing figures"):
         tables = compare_runs(options.a, options.b, options.out, options.measure)
     show(tables, options.width)
-    return int(any(note.startswith("left out") for table in tables for note in table.notes))
+    return int(any(isinstance(note, LeftOut) for table in tables for note in table.notes))
 
 
 @dataclass(frozen=True)
@@ -210,8 +222,16 @@ def heatmap(args: Sequence[str]) -> int:
     out = options.out or options.folders[0] / "heatmap.png"
     check_suffix(out, ".png")
     names = one_for_each("names", options.names, options.folders)
-    how = (options.part, options.alpha, options.size, options.seeds, names, options.task)
-    pictures.write_picture(out, pictures.heatmap(options.folders, *how))
+    drawn = pictures.heatmap(
+        options.folders,
+        options.part,
+        options.alpha,
+        options.size,
+        seeds=options.seeds,
+        names=names,
+        task=options.task,
+    )
+    pictures.write_picture(out, drawn)
     print(out)
     return 0
 
@@ -288,8 +308,15 @@ def render(args: Sequence[str]) -> int:
         episodes = options.episodes
         if episodes is None:
             episodes = min(3, config.evaluation_episodes)
-        how = (episodes, options.stochastic, by_mujoco, camera, every)
-        shown, view = pictures.evaluation_episodes(folder, run, *how)
+        shown, view = pictures.evaluation_episodes(
+            folder,
+            run,
+            episodes,
+            noisy=options.stochastic,
+            own_frames=by_mujoco,
+            camera=camera,
+            every=every,
+        )
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
         panels.append(pictures.Panel(heading, view, shown))
     if out.suffix.lower() == ".png":
@@ -340,8 +367,15 @@ def export(args: Sequence[str]) -> int:
     folder = folder_of(options.folder)
     if folder != options.folder and options.out is None:
         raise UserError(f"{options.folder} is in the package: give a folder for the files, --out")
-    which = (options.seeds, options.step, options.task)
-    for path in write(folder, options.format, options.out, *which):
+    written = write(
+        folder,
+        options.format,
+        options.out,
+        seeds=options.seeds,
+        step=options.step,
+        task=options.task,
+    )
+    for path in written:
         print(path)
     return 0
 

@@ -17,7 +17,6 @@ from agents.reporting.page import HANGS, Section
 from agents.reporting.study import Study
 from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
-    Printed,
     caption,
     lengths_differ,
     mark,
@@ -26,7 +25,7 @@ from agents.reporting.tables import (
     measures_table,
     printed_row,
 )
-from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
+from agents.results.frame import Printed, by_task, hyperparameter_changes, name_of, unusual_steps
 from agents.results.measures import measure, measures
 from agents.results.reading import Group, RunResult
 from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, two_sets

@@ -14,24 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
-from agents.reporting.tables import Reference
-from agents.results.frame import by_task, in_order, name_of
+from agents.results.frame import Reference, by_task, in_order, name_of
 from agents.results.measures import Measure, measures
 from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
-    Third,
+    by_third,
     common_limit,
     group_mean,
     known,
     mean_of,
-    thirds_of,
 )
 from agents.training.config import TrainConfig
 from agents.training.derive import three_digits
 from circle2d_mj.registration import CIRCLE2D
 from emcc import EpisodeRecords, emcc, iqm, profile
-from emcc.panels import emcc_of_thirds
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
@@ -176,7 +173,7 @@ def running_emcc(group: Group) -> Curve:
 
 def thirds_emcc(group: Group) -> Curve:
     """EMCC of the thirds of training: [3]."""
-    rows = [list(emcc_of_thirds(run.rollouts, run.total_steps).values()) for run in group.runs]
+    rows = [[run.measures[f"EMCC_{part}"] for part in PARTS] for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
@@ -361,10 +358,10 @@ def _frame(axis: Any, rows: int, m: Measure) -> None:
 def rates_figure(groups: Sequence[Group]) -> Figure:
     """Cost rate against EMCC, a dot for each run: a row for each task, a column for each third."""
 
-    def draw(axis: Any, runs: Sequence[Third], style: Style, group: Group) -> None:
-        points = np.array([(run.cost_rate, run.emcc) for run in runs])
+    def draw(axis: Any, group: Group, part: float, style: Style) -> None:
+        points = [by_third(group, stem)[part] for stem in ("rate", "EMCC")]
         look = {"marker": style.marker, "color": style.colour, "markersize": 5}
-        axis.plot(*points.T, label=name_of(group), **look, **DOT)
+        axis.plot(*points, label=name_of(group), **look, **DOT)
 
     labels = ("cost rate of the third", f"EMCC (α = {ALPHA:g})")
     words = (
@@ -378,8 +375,9 @@ def rates_figure(groups: Sequence[Group]) -> Figure:
 def profiles_figure(groups: Sequence[Group]) -> Figure:
     """Share of rollouts whose MCC is above each threshold, by task and third."""
 
-    def draw(axis: Any, runs: Sequence[Third], style: Style, group: Group) -> None:
-        shares = np.array([profile(run.mcc, THRESHOLDS) for run in runs])
+    def draw(axis: Any, group: Group, part: float, style: Style) -> None:
+        thirds = [run.rollouts.by_part(run.total_steps)[part] for run in group.runs]
+        shares = np.array([profile(of.mcc_per_rollout()[0], THRESHOLDS) for of in thirds])
         means = [mean_of(values.tolist(), group.one_place, SHARE) for values in shares.T]
         look = {"color": style.colour, "linestyle": style.dash, "linewidth": 1.4}
         axis.plot(THRESHOLDS, [mean.value for mean in means if mean], label=name_of(group), **look)
@@ -400,7 +398,7 @@ def profiles_figure(groups: Sequence[Group]) -> Figure:
 def _facets(
     groups: Sequence[Group],
     labels: tuple[str, str],
-    draw: Callable[[Any, Sequence[Third], Style, Group], None],
+    draw: Callable[[Any, Group, float, Style], None],
     level: float | None = None,
     scale: Literal["all", "row"] = "all",
 ) -> bytes:
@@ -421,10 +419,10 @@ def _facets(
         handles: dict[str, Any] = {}
         for row, (task, own) in zip(axes, tasks.items(), strict=True):
             for group, style in zip(own, styles([group.config for group in own]), strict=True):
-                found = thirds_of(group)
+                there = by_third(group, "rate")
                 for axis, part in zip(row, PARTS, strict=True):
-                    if part in found:
-                        draw(axis, found[part], style, group)
+                    if part in there:
+                        draw(axis, group, part, style)
                         handles.setdefault(name_of(group), axis.lines[-1])
             row[0].set_ylabel(f"{task.removeprefix('circle2d_mj/')}\n{labels[1]}")
             for axis in row:

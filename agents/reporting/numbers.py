@@ -7,8 +7,8 @@ import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from agents.algorithms import title
-from agents.reporting.tables import Reference, ends_words
-from agents.results.frame import name_of
+from agents.reporting.tables import ends_words
+from agents.results.frame import Reference, name_of
 from agents.results.measures import measures
 from agents.results.reading import Group
 from agents.results.statistics import Difference, group_mean, known, places, within_limit

@@ -23,6 +23,7 @@ from agents.results.statistics import (
     TwoSets,
     alike,
     bootstrapped,
+    by_third,
     common_limit,
     common_measures,
     comparisons,
@@ -32,7 +33,6 @@ from agents.results.statistics import (
     matrices,
     mixed,
     only,
-    thirds_of,
 )
 from emcc import iqm
 from emcc.parts import ALPHA, PARTS
@@ -137,7 +137,8 @@ def _separated_row(pair: Comparison) -> Row:
     names = " and ".join(name_of(group) for group in (pair.a, pair.b))
     one_place = pair.a.one_place and pair.b.one_place
     cells = []
-    for sides, p in ((pair.rates, pair.equivalence_p), (pair.emccs, pair.emcc_p)):
+    for stem, p in (("rate", pair.equivalence_p), ("EMCC", pair.emcc_p)):
+        sides = by_third(pair.a, stem)[pair.part], by_third(pair.b, stem)[pair.part]
         cells += [Number(float(np.mean(side)), 3) for side in sides]
         gap = difference_of(*sides, one_place)
         cells += [number(gap, 3, signed=True), p_number(p)]
@@ -320,12 +321,15 @@ def orders_table(cells: Cells) -> Table:
     much."""
     rows = []
     for task in tasks_of(cells):
-        found = {name: thirds_of(own[task]) for name, own in cells.items()}
-        for part in [p for p in PARTS if all(p in of for of in found.values())]:
-            rates = {name: [run.cost_rate for run in of[part]] for name, of in found.items()}
-            emccs = {name: [run.emcc for run in of[part]] for name, of in found.items()}
+        rates, emccs = (
+            {name: by_third(own[task], stem) for name, own in cells.items()}
+            for stem in ("rate", "EMCC")
+        )
+        for part in [p for p in PARTS if all(p in of for of in rates.values())]:
             one_place = {name: own[task].one_place for name, own in cells.items()}
-            rows.append(order_row(f"{task}, {PARTS[part]}", rates, emccs, one_place))
+            rate = {name: of[part] for name, of in rates.items()}
+            emcc = {name: of[part] for name, of in emccs.items()}
+            rows.append(order_row(f"{task}, {PARTS[part]}", rate, emcc, one_place))
     words = (
         "Pairs of algorithms of which the one with the lower mean cost rate has the higher mean "
         "EMCC in the same third of training; tau: Kendall's rank correlation of both orders; the "

@@ -20,10 +20,10 @@ from agents.reporting.figures import (
     running_emcc,
     styles,
 )
-from agents.results.frame import by_task, name_of, with_distinct_titles, with_varied_settings
-from agents.results.reading import Group, read
+from agents.results.frame import by_task, name_of, with_names
+from agents.results.reading import Group, LeftOut, read
 from agents.results.statistics import INTERVALS, common_limit
-from agents.training.files import write_whole
+from agents.training.files import check_file, write_whole
 from emcc.parts import ALPHA
 
 SUFFIXES = (".pdf", ".svg", ".png", ".pgf")
@@ -33,7 +33,7 @@ ASPECT = 0.78
 
 
 class Plotted(NamedTuple):
-    """What a column of panels shows."""
+    """A measure along training, with the label of its column of panels."""
 
     label: str
     of: Callable[[Group], Curve]
@@ -48,6 +48,19 @@ MEASURES = {
 """Measures that can be drawn, in the course of training."""
 
 
+class Plot(NamedTuple):
+    """A figure that was drawn."""
+
+    caption: str
+    left_out: list[LeftOut]
+    """Folders and runs that it had to leave out, and why."""
+
+    @property
+    def words(self) -> str:
+        """The caption, with what was left out."""
+        return " ".join([self.caption, *(f"{note}." for note in self.left_out)])
+
+
 def plot(
     paths: Sequence[Path],
     out: Path,
@@ -55,22 +68,25 @@ def plot(
     names: Mapping[str, str] | None = None,
     colours: Mapping[str, str] | None = None,
     width: float = 5.5,
-) -> str:
-    """Draw the figure into a file; returns the words for its caption: see `agents.plot`."""
+) -> Plot:
+    """Draw the figure into a file: see `agents.plot`."""
+    if out.suffix.lower() not in SUFFIXES:
+        raise UserError(f"out must end in {', '.join(SUFFIXES)}, got {str(out)!r}")
+    check_file(out)
     if unknown := [name for name in measures if name not in MEASURES]:
         raise UserError(f"measure {unknown[0]!r} cannot be drawn: {nearest(unknown[0], MEASURES)}")
     if not measures:
         raise UserError(f"plot needs a measure: {', '.join(MEASURES)}")
     notes: list[str] = []
-    tasks = by_task(with_distinct_titles(with_varied_settings(read(paths, notes))))
-    left_out = [note for note in notes if note.startswith("left out")]
+    tasks = by_task(with_names(read(paths, notes)))
+    left_out = [note for note in notes if isinstance(note, LeftOut)]
     if not tasks:
         raise UserError("; ".join(["no run is complete", *left_out]))
     entries = list(dict.fromkeys(name_of(group) for own in tasks.values() for group in own))
     shown = _given("names", names, entries)
     colour = _given("colours", colours, entries)
     _draw(tasks, out, [MEASURES[name] for name in measures], shown, colour, width)
-    return " ".join([_caption(tasks, measures), *(f"{note}." for note in left_out)])
+    return Plot(_caption(tasks, measures), left_out)
 
 
 def _given(what: str, given: Mapping[str, str] | None, entries: Sequence[str]) -> dict[str, str]:

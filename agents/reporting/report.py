@@ -23,8 +23,8 @@ from agents.reporting.study import Study
 from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.archive import write_archive
-from agents.results.frame import with_distinct_titles, with_varied_settings
-from agents.results.reading import Group, left_out, name_of_all, read
+from agents.results.frame import with_names
+from agents.results.reading import Group, LeftOut, left_out, name_of_all, read
 from agents.results.statistics import alike
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 
@@ -36,7 +36,7 @@ class Report(NamedTuple):
 
     blocks: list[Block]
     """Its main tables, and the verdicts on the study's claims."""
-    left_out: list[str]
+    left_out: list[LeftOut]
     """Folders, runs and pictures that it had to leave out, and why."""
     page: Path
     """`index.html`."""
@@ -61,7 +61,7 @@ def report(
         _check_archive(archive)
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
-    everything = with_distinct_titles(with_varied_settings(read(paths, notes, name, window)))
+    everything = with_names(read(paths, notes, name, window))
     study = study or Study()
     claims = study.claims(everything)
     usual, apart = study.set_apart(everything)
@@ -103,7 +103,7 @@ def report(
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything, study.printed)))
     write_whole(out / "report.tex", latex(main, columns))
-    missing = [note for note in notes if note.startswith("left out")]
+    missing = [note for note in notes if isinstance(note, LeftOut)]
     return Report([*main.values(), *verdicts], missing, out / "index.html")
 
 
@@ -114,7 +114,7 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
     `report`.
     """
     notes: list[str] = []
-    everything = with_distinct_titles(with_varied_settings(read([folder], notes)))
+    everything = with_names(read([folder], notes))
     study = study or Study()
     usual, apart = study.set_apart(everything)
     tables = _task_tables(_by_task(usual), study, notes) | apart

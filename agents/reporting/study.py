@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from agents.reporting.page import Section
 from agents.reporting.table import Table
-from agents.reporting.tables import Printed
+from agents.results.frame import Printed
 from agents.results.reading import Group
 
 

@@ -3,16 +3,24 @@ each step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
-from agents.results.frame import changes, in_order, name_of, setting, title_of_group
+from agents.results.frame import (
+    Printed,
+    Reference,
+    changes,
+    in_order,
+    name_of,
+    setting,
+    title_of_group,
+)
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, RunResult
 from agents.results.statistics import (
@@ -37,24 +45,9 @@ from emcc.panels import (
 )
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, TIES, rollouts_by_part
-from emcc.statistics import COST, SHARE, Bounds
+from emcc.statistics import SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
-
-
-class Printed(NamedTuple):
-    """Numbers that a publication prints for an algorithm on a task."""
-
-    values: Mapping[str, float]
-    """By the measure's name."""
-    within: bool
-    """Whether its J_C is within the cost limit."""
-    source: str
-    """Name of the publication, and its number of runs."""
-
-
-Reference = Callable[[Group], Printed | None]
-"""The printed numbers for a group's algorithm and task, None where there are none."""
 
 
 def task_table(groups: Sequence[Group], printed: Reference, notes: Sequence[str] = ()) -> Table:
@@ -165,8 +158,7 @@ def mean_row(group: Group, name: str) -> Row:
     cells = [number(group_mean(group, m.name), m.digits) for m in measures()]
     ends = "; ".join(f"{place} {count(share)}" for place, share in places(group).items())
     name = f"{name}, mean of {len(group.runs)}"
-    lengths = mean_of([run.evaluated_length for run in group.runs], group.one_place, COST)
-    cells += [count(within_limit(group)), number(lengths, 1)]
+    cells += [count(within_limit(group)), number(group_mean(group, "length"), 1)]
     return Row(name, cells, ends, kind="mean")
 
 
@@ -181,7 +173,7 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
     for run in group.runs:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
         share = within_limit(replace(group, runs=[run]))
-        cells += [Number(share and share.count, total=1), Number(run.evaluated_length, 1)]
+        cells += [Number(share and share.count, total=1), Number(run.measures.get("length"), 1)]
         yield Row(f"{prefix}{name_of(group)}, seed {run.seed}", cells, ends_words(run))
 
 

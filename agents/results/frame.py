@@ -1,12 +1,12 @@
-"""Groups of runs by name, in order, and runs as frames."""
+"""Runs as tidy frames, and the names of groups of runs."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
 from agents.presets import preset, usual_steps
+from agents.results import reading
 from agents.results.measures import measures
 from agents.results.reading import Group, Part, run_records
 from agents.training import evaluation
@@ -22,36 +23,80 @@ from agents.training.files import Arrays, numbered
 from emcc.records import COLUMNS as RECORD_COLUMNS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas
 
-COLUMNS = ("group", "task", "algorithm", "settings", "cost", "folder", "seed", "ends_in")
-COLUMNS = (*COLUMNS, "measure", "part", "value")
+COLUMNS = (
+    *("source", "group", "name", "task", "algorithm", "settings", "cost", "limit", "folder"),
+    *("seed", "steps", "ends_in", "measure", "part", "window", "value", "failure"),
+)
 MOST_CHARACTERS = 40
-"""Of a setting in a name."""
+"""Characters of a setting's value, at most, in a name."""
 
 
-def frame(groups: Sequence[Group]) -> pandas.DataFrame:
-    """A row for each complete run and measure.
+class Printed(NamedTuple):
+    """Numbers that a publication prints for an algorithm on a task."""
 
-    group: number of the group, for group-bys. settings: those that are not the preset's, in words.
-    cost: that the measures are of. ends_in: where most evaluated episodes end, empty for a task
-    without named places. part: end of the third of training that the measure is of, NaN for one of
-    the whole. value: NaN where the run lacks it.
+    values: Mapping[str, float]
+    """By the measure's name."""
+    within: bool
+    """Whether its J_C is within the cost limit."""
+    source: str
+    """Name of the publication, and its number of runs."""
+
+
+Reference = Callable[[Group], Printed | None]
+"""The printed numbers for a group's algorithm and task, None where there are none."""
+
+
+def read(
+    paths: Sequence[Path], window: int | None = None, printed: Reference | None = None
+) -> pandas.DataFrame:
+    """The frame of all runs at or below some folders and in archives, complete or not.
+
+    window, and what is raised: see `reading.read`. printed: whose numbers have rows too.
+    """
+    return frame(reading.read(paths, [], None, window), printed)
+
+
+def frame(groups: Sequence[Group], printed: Reference | None = None) -> pandas.DataFrame:
+    """A row for each run and measure.
+
+    source: "runs", or the publication whose numbers these are. group: number of the group, for
+    group-bys. name: of the algorithm with its settings, as tables have it. settings: those that are
+    not the preset's, in words. cost: that the measures are of; limit: of it, NaN for an algorithm
+    that does not limit it. steps: that the run took. ends_in: where most evaluated episodes end,
+    empty for a task without named places. measure: its name, without the part: "rate" is the cost
+    rate of a third, "length" that of evaluated episodes. part: end of the third of training that
+    the measure is of, NaN for one of the whole. window: episodes of the windows over which a
+    measure of a third is taken, NaN for rollouts. value: NaN where the run lacks it. failure: why a
+    run is not complete, which has no values; empty for the others.
     """
     import pandas as pd
 
-    rows = [
-        (
-            *(number, group.task, group.config.algorithm, settings_of(group), group.cost),
-            group.folder,
-            *(run.seed, run.place, m.stem, m.part, run.measures.get(m.name)),
-        )
-        for number, group in enumerate(with_varied_settings(groups))
-        for run in group.runs
-        for m in measures()
-    ]
-    made = pd.DataFrame(rows, columns=list(COLUMNS))
-    return made.astype({"part": float, "value": float})
+    every = measures(shown=False)
+    rows: list[tuple[Any, ...]] = []
+    varied = with_varied_settings(groups)
+    named = zip(varied, map(name_of, with_distinct_titles(varied)), strict=True)
+    for number, (group, name) in enumerate(named):
+        about = (number, name, group.task, group.config.algorithm, settings_of(group))
+        about = (*about, group.cost, group.limit, group.folder)
+        for run in group.runs:
+            own = ("runs", *about, run.seed, run.total_steps, run.place)
+            for m in every:
+                window = None if m.part is None else run.window
+                rows.append((*own, m.stem, m.part, window, run.measures.get(m.name), ""))
+        for seed, why in group.missing.items():
+            own = ("runs", *about, seed, None, "")
+            rows += [(*own, m.stem, m.part, None, None, why) for m in every]
+        if reference := printed and printed(group):
+            own = (reference.source, *about, None, None, "")
+            values = [(m, reference.values[m.name]) for m in every if m.name in reference.values]
+            rows += [(*own, m.stem, m.part, None, value, "") for m, value in values]
+    numbers = ("limit", "part", "window", "value")
+    made = pd.DataFrame(rows, columns=list(COLUMNS)).astype(dict.fromkeys(numbers, float))
+    return made.astype({"seed": "Int64", "steps": "Int64"})
 
 
 def long_frame(
@@ -133,9 +178,14 @@ def _evaluations(part: Part, run: RunId) -> dict[str, Any]:
     return columns
 
 
+def with_names(groups: Sequence[Group]) -> list[Group]:
+    """Groups that their names tell apart."""
+    return with_distinct_titles(with_varied_settings(groups))
+
+
 def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
-    """Groups of which those of an unregistered algorithm, whose preset nobody knows, have the
-    hyper-parameters in their names in which the algorithm's groups differ."""
+    """Name groups of unregistered algorithms by the hyper-parameters in which they differ: there is
+    no preset to compare with."""
     named = []
     for group in groups:
         name, varied = group.config.algorithm, []
@@ -149,7 +199,7 @@ def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
 
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
-    """Groups of which those of one title on one task have their folders in their names."""
+    """Name groups of one title on one task by their folders too."""
     keys = [(group.task, group.cost, title_of_group(group)) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
     return [

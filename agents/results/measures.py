@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, Literal
 
+import numpy as np
+
 from agents.errors import OWN_ERRORS, OwnCodeError, described
-from emcc import EpisodeRecords, cost_rate
+from emcc import EpisodeRecords, cost_rate, emcc
 from emcc.arrays import as_one
-from emcc.panels import emcc_of_thirds
-from emcc.parts import PARTS
+from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
 
@@ -37,9 +38,9 @@ class RunData:
     """Episodes of the windows over which EMCC is taken; None for rollouts."""
 
     @cached_property
-    def emcc_by_part(self) -> dict[float, float | None]:
-        """EMCC of each third with alpha 0.1; None where no rollout, or window, starts in it."""
-        return emcc_of_thirds(self.records, self.steps, window=self.window)
+    def thirds(self) -> dict[float, EpisodeRecords]:
+        """The rollouts, or windows, that start in each third of training, by its end."""
+        return self.records.windows(self.window).by_part(self.steps)
 
     def evaluated(self, name: str) -> float | None:
         """A mean over the episodes of the deterministic policy; None where it was not measured."""
@@ -76,6 +77,8 @@ class Measure:
     """Whether a terminal leaves it out."""
     part: float | None = None
     """End of the third of training that it is of, which its name ends with; None of the whole."""
+    shown: bool = True
+    """Whether tables, figures and `report.csv` have a column for it; frames have its rows."""
 
     @property
     def stem(self) -> str:
@@ -107,9 +110,9 @@ def unregister(name: str) -> None:
     del _REGISTRY[name]
 
 
-def measures() -> tuple[Measure, ...]:
-    """All measures, in the order of their registration, which is that of the columns."""
-    return tuple(_REGISTRY.values())
+def measures(shown: bool = True) -> tuple[Measure, ...]:
+    """The measures with a column, in the order of their registration; shown=False: all of them."""
+    return tuple(m for m in _REGISTRY.values() if m.shown or not shown)
 
 
 def measure(name: str) -> Measure:
@@ -124,7 +127,7 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
     number; the ValueError of a built-in one says that the run is damaged.
     """
     values: dict[str, float | None] = {}
-    for m in measures():
+    for m in measures(shown=False):
         try:
             value = m.compute(data)
         except OWN_ERRORS as error:
@@ -159,24 +162,45 @@ def _evaluated(name: str) -> Callable[[RunData], float | None]:
 
 
 def _emcc(part: float) -> Callable[[RunData], float | None]:
-    return lambda run: run.emcc_by_part[part]
+    def of(run: RunData) -> float | None:
+        third = run.thirds[part]
+        return emcc(third.mcc_per_rollout()[0], ALPHA) if len(third) else None
+
+    return of
+
+
+def _rate(part: float) -> Callable[[RunData], float | None]:
+    def of(run: RunData) -> float | None:
+        third = run.thirds[part]
+        return cost_rate(third.cost, third.length) if len(third) else None
+
+    return of
+
+
+def _length(run: RunData) -> float | None:
+    lengths = run.evaluation.get("deterministic", {}).get("lengths", ())
+    return float(np.mean(lengths)) if len(lengths) else None
 
 
 for _part in PARTS:
-    _how = {"word": "EMCC", "bounds": SHARE, "part": _part}
-    register(Measure(f"EMCC_{_part}", f"EMCC_{_part}", "", 2, "lower", _emcc(_part), **_how))
+    _name = f"EMCC_{_part}"
+    register(
+        Measure(_name, _name, "", 2, "lower", _emcc(_part), word="EMCC", bounds=SHARE, part=_part)
+    )
 register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
 register(Measure("J_R", "J_R", "", 2, "higher", _evaluated("J_R"), "policy"))
 register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy", bounds=COST))
-_how = {"word": "CVaR", "bounds": COST, "detail": True}
-register(Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", **_how))
-_how = {
-    "note": "mean streak: the mean length of training's streaks of cost steps",
-    "bounds": COST,
-    "detail": True,
-}
-# Neither is better: streaks may be fewer and longer, or more and shorter.
+_cvar = Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", "CVaR")
+register(replace(_cvar, bounds=COST, detail=True))
 _value = attrgetter("records.mean_streak")
-register(Measure("mean_streak", "mean streak", "steps", 2, "neither", _value, **_how))
-BUILT_IN = measures()
+# Neither is better: streaks may be fewer and longer, or more and shorter.
+_streak = Measure("mean_streak", "mean streak", "steps", 2, "neither", _value, bounds=COST)
+_note = "mean streak: the mean length of training's streaks of cost steps"
+register(replace(_streak, note=_note, detail=True))
+for _part in PARTS:
+    _rates = Measure(f"rate_{_part}", "cost rate of the third", "", 2, "lower", _rate(_part))
+    register(replace(_rates, part=_part, bounds=COST, shown=False))
+_lengths = Measure("length", "length", "steps", 1, "neither", _length, "policy", bounds=COST)
+register(replace(_lengths, shown=False))
+BUILT_IN = measures(shown=False)
 """The measures of every report: they raise where a run is damaged alone."""

@@ -85,12 +85,6 @@ class RunResult:
         return self.records.total_steps
 
     @property
-    def evaluated_length(self) -> float | None:
-        """Mean steps of its deterministic policy's evaluated episodes; None where unknown."""
-        lengths = self.evaluation.get("deterministic", {}).get("lengths", ())
-        return float(np.mean(lengths)) if len(lengths) else None
-
-    @property
     def end(self) -> str:
         """The place where most of its evaluated episodes end; empty without places."""
         return max(self.ends, key=self.ends.__getitem__, default="")
@@ -348,13 +342,17 @@ class Group:
         return next(part for part in self.parts if seed in part.config.seeds)
 
 
-def left_out(what: str, groups: Sequence[Group], error: UserError) -> str:
+class LeftOut(str):
+    """A note on runs, or on a part of a report, that had to be left out."""
+
+
+def left_out(what: str, groups: Sequence[Group], error: UserError) -> LeftOut:
     """A note on what of some groups a report cannot show, since its arrays are damaged."""
     words = str(error)
     for part in (part for group in groups for part in group.parts):
         words = _relative(words, part.path, part.title)
     titles = ", ".join(dict.fromkeys(group.title for group in groups))
-    return f"left out: {what} of {titles}: {words}"
+    return LeftOut(f"left out: {what} of {titles}: {words}")
 
 
 def read(
@@ -382,7 +380,7 @@ def read(
         except OwnCodeError:
             raise
         except UserError as error:
-            notes.append(f"left out: {_relative(error, path, title)}")
+            notes.append(LeftOut(f"left out: {_relative(error, path, title)}"))
     if not groups and not notes:
         raise UserError(f"{own} {NO_RUNS}")
     for group in groups:
@@ -520,15 +518,19 @@ def _relative(error: object, path: AnyPath, title: str) -> str:
     return str(error).replace(str(path), title)
 
 
-def _left_out(folder: str, missing: Mapping[int, str]) -> list[str]:
+def _left_out(folder: str, missing: Mapping[int, str]) -> list[LeftOut]:
     """A note for each reason, with the seeds that have it."""
     seeds: dict[str, list[int]] = {}
     for seed, why in missing.items():
         seeds.setdefault(why, []).append(seed)
     return [
-        f"left out: {folder}, seed{'s' * (len(those) > 1)} {', '.join(map(str, those))}: {why}"
+        LeftOut(f"left out: {folder}, seed{'s' * (len(those) > 1)} {_list(those)}: {why}")
         for why, those in seeds.items()
     ]
+
+
+def _list(seeds: Sequence[int]) -> str:
+    return ", ".join(map(str, seeds))
 
 
 def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
@@ -644,7 +646,7 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
                 missing={seed: why for group in same for seed, why in group.missing.items()},
             )
         )
-        listed = (f"{g.title} (seeds {', '.join(map(str, g.config.seeds))})" for g in same)
+        listed = (f"{g.title} (seeds {_list(g.config.seeds)})" for g in same)
         notes.append(f"of equal settings, with other seeds, so counted as one: {'; '.join(listed)}")
     return pooled
 

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import emcc
-from agents.results.measures import Measure, measure, measures
+from agents.results.measures import Measure, RunData, measure, measures
 from agents.results.reading import Group, RunResult
-from emcc import EpisodeRecords, Interval, Share
-from emcc.panels import emcc_of_thirds
-from emcc.parts import ALPHA, PARTS
+from emcc import Interval, Share
+from emcc.parts import PARTS
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
@@ -171,35 +170,13 @@ def holm(
     return corrected, len(known)
 
 
-class Third(NamedTuple):
-    """A run in a third of its training: the rollouts that start in it."""
+def by_third(group: Group, stem: str) -> dict[float, list[float]]:
+    """A measure of each run, by the thirds of training that all runs have.
 
-    cost_rate: float
-    """Cost per step."""
-    emcc: float
-    """EMCC with `ALPHA`."""
-    mcc: NDArray[np.float64]
-    """MCC by rollout."""
-
-
-def thirds(records: EpisodeRecords, steps: int) -> dict[float, Third]:
-    """The thirds of a training by their end, as in `emcc.parts.PARTS`, in which a rollout starts.
-
-    steps: of the whole training.
+    stem: "EMCC" or "rate", the cost rate of a third.
     """
-    told = {}
-    for part, third in records.by_part(steps).items():
-        if len(third):
-            mcc, _ = third.mcc_per_rollout()
-            rate = emcc.cost_rate(third.cost, third.length)
-            told[part] = Third(rate, emcc.emcc(mcc, ALPHA), mcc)
-    return told
-
-
-def thirds_of(group: Group) -> dict[float, list[Third]]:
-    """The thirds of each run of a group, those that all runs have."""
-    runs = [thirds(run.rollouts, run.total_steps) for run in group.runs]
-    return {part: [run[part] for run in runs] for part in PARTS if all(part in run for run in runs)}
+    values = {part: known(group.values(f"{stem}_{part}")) for part in PARTS}
+    return {part: of_runs for part, of_runs in values.items() if of_runs is not None}
 
 
 ACROSS = 10
@@ -213,16 +190,16 @@ ACROSS_WORDS = (
 
 
 def over_windows(group: Group, window: int = ACROSS) -> Group:
-    """The group with EMCC over windows, which runs that have windows already keep."""
+    """The group with measures of thirds over windows, which runs that have some already keep."""
     return replace(group, runs=[_over_windows(run, window) for run in group.runs])
 
 
 def _over_windows(run: RunResult, window: int) -> RunResult:
     if run.window is not None:
         return run
-    thirds = emcc_of_thirds(run.records, run.total_steps, window=window)
-    emccs = {f"EMCC_{part}": value for part, value in thirds.items()}
-    return replace(run, window=window, measures={**run.measures, **emccs})
+    data = RunData(run.records, run.total_steps, {}, window)
+    of_thirds = {m.name: m.compute(data) for m in measures(shown=False) if m.part is not None}
+    return replace(run, window=window, measures={**run.measures, **of_thirds})
 
 
 def mixed(groups: Iterable[Group]) -> bool:
@@ -243,9 +220,6 @@ class Comparison(NamedTuple):
     b: Group
     part: float
     """The third, as in `emcc.parts.PARTS`."""
-    rates: tuple[list[float], list[float]]
-    """Cost rates of the runs of A and of B."""
-    emccs: tuple[list[float], list[float]]
     rate_p: float
     """Permutation test of the cost rates."""
     equivalence_p: float
@@ -268,21 +242,20 @@ def comparisons(groups: Sequence[Group]) -> list[Comparison]:
     """All pairs of groups on a task, of one cost, in each third. Groups of fewer than five runs are
     in none."""
     enough = [group for group in groups if len(group.runs) >= FEWEST_RUNS]
-    by_third = {id(group): thirds_of(group) for group in enough}
+    found = {id(g): (by_third(g, "rate"), by_third(g, "EMCC")) for g in enough}
     compared = []
     for a, b in combinations(enough, 2):
-        first, second = by_third[id(a)], by_third[id(b)]
-        same = (a.task, a.cost) == (b.task, b.cost)
-        for part in [p for p in first if p in second] if same else ():
-            sides = first[part], second[part]
-            rates = [run.cost_rate for run in sides[0]], [run.cost_rate for run in sides[1]]
-            emccs = [run.emcc for run in sides[0]], [run.emcc for run in sides[1]]
+        if (a.task, a.cost) != (b.task, b.cost):
+            continue
+        (rates_a, emccs_a), (rates_b, emccs_b) = found[id(a)], found[id(b)]
+        for part in [p for p in rates_a if p in rates_b]:
+            rates = rates_a[part], rates_b[part]
             equal = emcc.equivalence_test(*rates, MARGIN, rng=np.random.default_rng(0))
             rate_p, emcc_p = (
                 emcc.permutation_test(*both, rng=np.random.default_rng(0))
-                for both in (rates, emccs)
+                for both in (rates, (emccs_a[part], emccs_b[part]))
             )
-            compared.append(Comparison(a, b, part, rates, emccs, rate_p, equal, emcc_p))
+            compared.append(Comparison(a, b, part, rate_p, equal, emcc_p))
     p_values = emcc.holm([pair.emcc_p for pair in compared]) if compared else ()
     corrected_pairs = zip(compared, p_values, strict=True)
     return [pair._replace(emcc_p=float(p)) for pair, p in corrected_pairs]

@@ -91,9 +91,15 @@ def runs_envs(config: TrainConfig, each: int) -> SideBySide:
     """Environments of all runs, `each` of a run; they record their steps."""
     parts = []
     for task in config.tasks:
-        how = (config.vectorization, config.step_timeout, config.task_costs)
-        count = len(config.seeds) * each
-        envs = make_envs(task, count, config.task_parameters, *how, alone=True)
+        envs = make_envs(
+            task,
+            len(config.seeds) * each,
+            config.task_parameters,
+            config.vectorization,
+            config.step_timeout,
+            config.task_costs,
+            alone=True,
+        )
         of_task = (task, config.task_parameters)
         parts.append(RecordSteps(envs, view_of(*of_task), list(recorded_of(*of_task))))
     seen = [config.wrap(part, task) for part, task in zip(parts, config.tasks, strict=True)]
@@ -126,8 +132,8 @@ def play(
         action = policy(observation, next(noise)[:, chosen] if noisy else None)
         return action.reshape(runs * count, -1)
 
-    how = (np.repeat(active, count), config.costs, config.most_steps)
-    return collect(envs, seeds, act, *how)
+    playing = np.repeat(active, count)
+    return collect(envs, seeds, act, playing, config.costs, config.most_steps)
 
 
 def ends_of(envs: SideBySide, rollout: Rollout) -> NDArray[np.float32]:

@@ -214,8 +214,8 @@ class Trainer:
         resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, epoch, episodes)
         with self._own_code("acts"):
             act = learner.explorer(epoch, self.steps)
-            how = (np.repeat(active, episodes), config.costs, config.most_steps)
-            rollout = collect(self._envs, resets, act, *how)
+            playing = np.repeat(active, episodes)
+            rollout = collect(self._envs, resets, act, playing, config.costs, config.most_steps)
         void = rollout.diverged.reshape(-1, episodes)
         learning = active & ~void.any(axis=1)
         metrics = np.full((len(active), len(learner.metrics)), np.nan)

@@ -22,9 +22,10 @@ from agents.reporting.overall import over_tasks, separated_table, tables_over_ta
 from agents.results.archive import write_archive
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, RunResult, read
-from agents.results.statistics import ACROSS_WORDS, comparisons, thirds
+from agents.results.statistics import ACROSS_WORDS, comparisons
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
+from emcc.parts import PARTS
 
 TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
 STEPS, EPISODES = 3000, 60
@@ -63,10 +64,9 @@ def groups():
 
 
 def test_thirds_of_a_run_by_hand():
-    found = thirds(run(0, 10, 4).records, STEPS)
-    assert [of.cost_rate for of in found.values()] == [0.2, 0.2, 0.0]
-    assert [of.emcc for of in found.values()] == pytest.approx([0.08, 0.08, 0.0])
-    assert [len(of.mcc) for of in found.values()] == [20, 20, 20]  # of 990 steps each
+    measures = run(0, 10, 4).measures
+    assert [measures[f"rate_{part}"] for part in PARTS] == [0.2, 0.2, 0.0]
+    assert [measures[f"EMCC_{part}"] for part in PARTS] == pytest.approx([0.08, 0.08, 0.0])
 
 
 def test_rollouts_of_several_episodes_stay_together():
@@ -75,10 +75,12 @@ def test_rollouts_of_several_episodes_stay_together():
     cost, streak = [10, 0, 20, 0, 30, 40, 0, 0], [10, 0, 5, 0, 30, 20, 0, 0]
     number, length = np.arange(8), np.full(8, 100)
     records = EpisodeRecords(number // 2, 100 * number, length, np.zeros(8), cost, streak)
-    found = thirds(records, 800)
+    data = RunData(records, 800, {})
+    rates = [measured(data, "")[f"rate_{part}"] for part in PARTS]
     # They start at 0, 25, 50 and 75 %.
-    assert [of.cost_rate for of in found.values()] == pytest.approx([30 / 400, 70 / 200, 0.0])
-    assert [of.mcc.tolist() for of in found.values()] == [[0.1, 0.05], [0.3], [0.0]]
+    assert rates == pytest.approx([30 / 400, 70 / 200, 0.0])
+    mcc = [third.mcc_per_rollout()[0].tolist() for third in data.thirds.values()]
+    assert mcc == [[0.1, 0.05], [0.3], [0.0]]
 
 
 def test_a_dot_for_each_run_and_a_cross_for_each_printed_value(groups):
@@ -307,7 +309,8 @@ def test_orders_by_hand(groups):
 def test_the_emcc_of_a_third_is_of_its_worst_tenth():
     streaks = np.array([10, 20, 30, *[0] * 57])
     records = replace(run(0, 20, 20).records, longest_streak=streaks)
-    assert thirds(records, STEPS)[0.33].emcc == pytest.approx(25 / 50)  # of 20 the two highest
+    values = measured(RunData(records, STEPS, {}), "")
+    assert values["EMCC_0.33"] == pytest.approx(25 / 50)  # of 20 the two highest
 
 
 def test_violation_rates_and_intervals_by_hand():

@@ -23,7 +23,8 @@ from agents.reporting.provenance import command, made
 from agents.reporting.report import report, table
 from agents.reporting.study import Study
 from agents.reporting.table import Number, Row, Table, markdown
-from agents.reporting.tables import Printed, best
+from agents.reporting.tables import best
+from agents.results.frame import Printed
 from agents.results.reading import read
 from agents.training import config
 from agents.training.config import TrainConfig

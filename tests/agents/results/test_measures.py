@@ -15,7 +15,8 @@ from agents.paper.sections import STUDY
 from agents.reporting.compare import compare
 from agents.reporting.provenance import summary
 from agents.reporting.report import report
-from agents.results.frame import COLUMNS, frame
+from agents.results.frame import COLUMNS, Printed, frame
+from agents.results.frame import read as read_frame
 from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read
 from agents.results.statistics import difference_of, mean_of, within_limit
@@ -180,7 +181,8 @@ def test_a_row_for_each_run_and_measure(tmp_path):
     groups = read([tmp_path], [])
     tidy = frame(groups)
     assert list(tidy.columns) == list(COLUMNS)
-    assert len(tidy) == (5 + 2 + 1) * len(measures())
+    assert len(tidy) == (5 + 2 + 1) * len(measures(shown=False))
+    assert set(tidy["source"]) == {"runs"} and not tidy["failure"].any()
     assert [group.folder for group in groups] == ["a + b", "c", "d"]
     for number, group in enumerate(groups):
         for run in group.runs:
@@ -191,8 +193,32 @@ def test_a_row_for_each_run_and_measure(tmp_path):
                 name = row.measure if np.isnan(row.part) else f"{row.measure}_{row.part}"
                 value = run.measures[name]
                 assert row.value == value or (value is None and np.isnan(row.value))
-    assert set(tidy.loc[tidy["measure"] == "EMCC", "part"]) == {0.33, 0.66, 0.99}
-    assert tidy.loc[tidy["measure"] != "EMCC", "part"].isna().all()
+    of_thirds = tidy["measure"].isin(["EMCC", "rate"])
+    assert set(tidy.loc[of_thirds, "part"]) == {0.33, 0.66, 0.99}
+    assert tidy.loc[~of_thirds, "part"].isna().all()
+    assert set(tidy["name"]) == {"CPO (100 steps)", "WCSAC (100 steps)"}
+
+
+def test_a_frame_of_folders(tmp_path):
+    """With the numbers of a book, windows, and why a run has no values."""
+    write_evaluated(tmp_path / "a", "cpo", costs=(1, 2))
+    results = tmp_path / "a" / "results.npz"
+    with np.load(results) as file:
+        arrays = dict(file)
+    arrays["Circle2D-1-v0/1/failure"] = np.array("it fell")
+    np.savez(results, **arrays)
+
+    def printed(group):
+        return Printed({"J_C": 7.0}, False, "book (9 seeds)")
+
+    tidy = read_frame([tmp_path], window=2, printed=printed)
+    runs, book = tidy[tidy["source"] == "runs"], tidy[tidy["source"] == "book (9 seeds)"]
+    assert book[["measure", "value"]].to_numpy().tolist() == [["J_C", 7.0]]
+    fallen = runs[runs["seed"] == 1]
+    assert set(fallen["failure"]) == {"it fell"} and fallen["value"].isna().all()
+    whole = runs[runs["seed"] == 0]
+    assert not whole["failure"].any() and set(whole["steps"]) == {100}
+    assert (whole["window"] == 2).equals(whole["part"].notna())
 
 
 def test_a_cost_at_the_limit_is_within(tmp_path):

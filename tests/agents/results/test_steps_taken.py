@@ -13,7 +13,7 @@ from agents.reporting.figures import emcc_along, episode_means, midpoints
 from agents.reporting.report import report
 from agents.reporting.table import markdown
 from agents.results.reading import read
-from agents.results.statistics import thirds_of
+from agents.results.statistics import by_third
 
 STREAKS = [0, 0, 0, 10, 0, 5, 0, 0, 2, 0]
 """Of ten episodes of ten steps. By the 100 steps taken they are in the first, second and last
@@ -35,8 +35,7 @@ def test_thirds_are_of_the_steps_taken(tmp_path, capsys):
     for run in group.runs:
         assert [run.measures[f"EMCC_{part}"] for part in (0.33, 0.66, 0.99)] == THIRDS
     # Cost steps of each third by its steps: the episodes that start at 0 to 30, 40 to 60, 70 to 90.
-    rates = {part: [run.cost_rate for run in runs] for part, runs in thirds_of(group).items()}
-    assert rates == {0.33: [10 / 40] * 2, 0.66: [5 / 30] * 2, 0.99: [2 / 30] * 2}
+    assert by_third(group, "rate") == {0.33: [10 / 40] * 2, 0.66: [5 / 30] * 2, 0.99: [2 / 30] * 2}
     assert emcc.__main__.main([str(tmp_path / "a")]) == 0
     row = capsys.readouterr().out.splitlines()[-1].split()
     assert [row[k] for k in (5, 6, 11, 16)] == ["100", "1.000", "0.500", "0.200"]
