@@ -72,27 +72,27 @@ def _box(agent: str) -> Kind:
     half, density = BOX[agent]
     # A box and four columns on its corners, as wide as half of it: see `worlds`.
     radius = half * (1.5**2 * 2 + 1) ** 0.5
-    colour = (0.90, 0.75, 0.15, 1.0)
+    colour = (1.0, 1.0, 0.0, 1.0)
     return Kind("push_box", "free", "box", (half,) * 3, half, colour, density, radius)
 
 
 _CUBE, _CUBE_RADIUS = (0.1, 0.1, 0.1), 0.1 * 3**0.5
 KINDS = {
-    "goal": Kind("goal", "none", "cylinder", (0.3, 0.15), 0.16, (0.25, 0.75, 0.30, 0.4)),
-    "hazards": Kind("hazard", "none", "cylinder", (0.2, 0.01), 0.02, (0.20, 0.30, 0.90, 0.5)),
+    "goal": Kind("goal", "none", "cylinder", (0.3, 0.15), 0.16, (0.0, 1.0, 0.0, 0.25)),
+    "hazards": Kind("hazard", "none", "cylinder", (0.2, 0.01), 0.02, (0.0, 0.0, 1.0, 0.25)),
     "vases": Kind(
-        *("vase", "free", "box", _CUBE, 0.09996, (0.20, 0.70, 0.75, 1.0), 0.001, _CUBE_RADIUS)
+        *("vase", "free", "box", _CUBE, 0.09996, (0.0, 1.0, 1.0, 1.0), 0.001, _CUBE_RADIUS)
     ),
-    "pillars": Kind("pillar", "static", "cylinder", (0.2, 0.5), 0.5, (0.45, 0.45, 0.45, 1.0)),
-    "buttons": Kind("button", "static", "sphere", (0.1,), 0.1, (0.90, 0.55, 0.15, 1.0)),
+    "pillars": Kind("pillar", "static", "cylinder", (0.2, 0.5), 0.5, (0.5, 0.5, 1.0, 1.0)),
+    "buttons": Kind("button", "static", "sphere", (0.1,), 0.1, (1.0, 0.5, 0.0, 1.0)),
     "gremlins": Kind(
-        *("gremlin", "driven", "box", _CUBE, 0.1, (0.55, 0.20, 0.60, 1.0), 0.001, _CUBE_RADIUS)
+        *("gremlin", "driven", "box", _CUBE, 0.1, (0.5, 0.0, 1.0, 1.0), 0.001, _CUBE_RADIUS)
     ),
-    "circle": Kind("circle", "none", "cylinder", (1.5, 0.01), 0.01, (0.20, 0.70, 0.25, 0.4)),
+    "circle": Kind("circle", "none", "cylinder", (1.5, 0.01), 0.01, (0.0, 1.0, 0.0, 0.1)),
 }
 BUTTON_GOAL_SIZE = (0.2, 0.1)
 PUSH_HAZARD_SIZE = (0.3, 0.01)
-WALL_COLOUR: Colour = (0.95, 0.75, 0.10, 0.5)
+WALL_COLOUR: Colour = (1.0, 1.0, 0.0, 0.1)
 
 
 def kind(name: str, family: str, agent: str) -> Kind:

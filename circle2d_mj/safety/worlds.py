@@ -121,12 +121,10 @@ def picture_model(agent_name: str, family: str, scene: Scene) -> mujoco.MjModel:
             if (kinds[placed.kind].physics == "none") is drawn:
                 for name in names(kinds[placed.kind], placed.number):
                     _add_object(spec, name, kinds[placed.kind])
+                    if kinds[placed.kind].physics == "driven":
+                        _add_shade(spec, f"{name}mocap", kinds[placed.kind])
     _add_scenery(spec, scene, AGENTS[agent_name].eye)
-    model = spec.compile()
-    # Beyond the horizon, and one tile: MuJoCo would tile a floor without an edge, and drawing the
-    # tiles would take nine tenths of the time of a small picture.
-    model.geom("floor").size[:] = 200.0
-    return model
+    return spec.compile()
 
 
 def _areas(scene: Scene) -> Areas:
@@ -194,6 +192,12 @@ def _add_object(spec: mujoco.MjSpec, name: str, kind: Kind) -> None:
             _add_geom(body, kind, f"col{i}", size, place=(x * half, y * half, 0.0))
 
 
+def _add_shade(spec: mujoco.MjSpec, name: str, kind: Kind) -> None:
+    """Show a target that drives an object, as the original does."""
+    drawn = kind._replace(physics="none", colour=(*kind.colour[:3], 0.1))
+    _add_geom(spec.body(name), drawn, name, kind.size, place=(0.0, 0.0, 0.0))
+
+
 def _add_geom(
     body: mujoco.MjsBody,
     kind: Kind,
@@ -243,18 +247,26 @@ def _add_touch_sensors(
 
 
 def _add_scenery(spec: mujoco.MjSpec, scene: Scene, eye: Eye) -> None:
+    """Add the original's floor, light and cameras; its sky, 24 MB of faint stars, is black."""
     spec.visual.quality.numslices, spec.visual.quality.shadowsize = 64, 0
-    spec.geom("floor").size[:2] = 0.0  # without an edge
-    spec.visual.headlight.ambient = [0.35] * 3
-    spec.visual.headlight.diffuse = [0.3] * 3
-    spec.visual.headlight.specular = [0.0] * 3
+    squares = spec.add_texture(name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D)
+    squares.builtin, squares.width, squares.height = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, 100, 100
+    squares.rgb1, squares.rgb2 = (0.859, 0.843, 0.765), (0.949, 0.914, 0.855)
+    floor, material = spec.geom("floor"), spec.add_material(name="floor")
+    textures = material.textures
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    extent = floor.size[0]
+    wide = max(extent, scene.half_width + 1)  # a half_width of one's own may be beyond the floor
+    material.textures, material.texrepeat = textures, [10 * wide / extent] * 2
+    material.reflectance = material.shininess = material.specular = 0.1
+    floor.material, floor.rgba, floor.size = "floor", [1, 1, 1, 1], [wide, wide, 0.1]
     spec.worldbody.add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 5],
-        dir=[0.2, 0.2, -1],
-        diffuse=[0.3] * 3,
-        specular=[0.0] * 3,  # a bright spot on the floor
+        pos=[0, 0, 0.5],
+        dir=[0, 0, -1],
+        diffuse=[1] * 3,
+        specular=[0] * 3,
         castshadow=False,
     )
     long = 17.5 if len(scene.walls) == 1 and not scene.placed else 3.5

@@ -6,6 +6,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+import safety_pictures
 
 import circle2d_mj.safety_gymnasium as safety_gymnasium
 from circle2d_mj.render import gl
@@ -168,3 +169,16 @@ def test_what_cannot_be_drawn(options, message):
     for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
         with pytest.raises(ValueError, match=message):
             make("SafetyPointGoal1-v0", render_mode="rgb_array", **options)
+
+
+def test_pictures_are_like_the_originals():
+    """Recorded at equal states: three cameras, five tasks. The rest is its sky of faint stars."""
+    similar = {}
+    for case, theirs, ours in safety_pictures.pairs():
+        assert ours.shape == theirs.shape == (64, 64, 3)
+        similar.setdefault(case, []).append(safety_pictures.similarity(theirs, ours))
+        assert safety_pictures.similarity(theirs, ours[:, ::-1]) < 0.9  # what unlike ones have
+    assert len(similar) == 15
+    assert min(min(values) for values in similar.values()) > 0.95, similar
+    others = [values for case, values in similar.items() if "vision" not in case]
+    assert min(min(values) for values in others) > 0.98, similar
