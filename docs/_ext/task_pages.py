@@ -21,9 +21,9 @@ from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
-from circle2d_mj.safety import agents as safety_agents
 from circle2d_mj.safety import families
 from circle2d_mj.safety.navigation import NavigationTask
+from circle2d_mj.safety.robots import AGENTS
 from circle2d_mj.safety.scenes import COUNTED, parameters, scene
 from circle2d_mj.safety.tasks import IDS, VELOCITY
 from circle2d_mj.safety.velocity import BODIES, VelocityTask
@@ -147,7 +147,7 @@ def _family(family: str) -> str:
     task = getattr(families, f"{family}Task")
     levels = [0] if family == "Run" else [0, 1, 2]
     rows, kinds = [], []
-    for agent in safety_agents.AGENTS:
+    for agent in AGENTS:
         for level in levels:
             name, laid = IDS[f"Safety{agent}{family}{level}"], scene(f"{family}{level}", agent)
             env = gym.spec(name).make()
@@ -234,7 +234,7 @@ def _velocity() -> str:
 
 
 def _agents() -> list[tuple[str, object]]:
-    return list(safety_agents.AGENTS.items())
+    return list(AGENTS.items())
 
 
 def _end(name: str) -> str:
