@@ -12,8 +12,9 @@ import numpy as np
 import omnisafe_parity
 import pandas as pd
 import pytest
+import results_pages
 import results_table
-import scipy.stats
+from results_pages import fisher, share
 from results_table import EMCC, LEVELS, SAFETY_LIMIT, UNITS, count, runs, short, solved
 
 import emcc
@@ -137,11 +138,6 @@ def told(name, *sentences):
     assert [sentence for sentence in sentences if sentence not in text] == []
 
 
-def share(chosen, words=" runs"):
-    ends = emcc.share(int(chosen.sum()), len(chosen))
-    return f"{count(chosen)}{words} [{short(ends.low)}, {short(ends.high)}]"
-
-
 def on(lines, name, tasks):
     """The runs of an algorithm on some tasks."""
     return pd.concat([runs(lines, task, name) for task in tasks])
@@ -149,11 +145,6 @@ def on(lines, name, tasks):
 
 def permuted(*sides):
     return emcc.permutation_test(*map(np.asarray, sides), rng=np.random.default_rng(0))
-
-
-def fisher(*sides):
-    table = [[int(side.sum()), int((~side).sum())] for side in sides]
-    return results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
 
 
 def test_the_sentences():
@@ -436,65 +427,18 @@ def test_the_page_beside_omnisafe():
     )
 
 
-def test_the_page_of_the_later_library():
-    """CPO beside its preset, units of length alone, and the paper."""
-    lines, units = results_table.report("circle2d"), "CPO (input_scale 15.0)"
-    nearer = [results_table.nearer_as_later("CPO", task) for task in LEVELS]
-    off, ratios = [], []
-    for task in LEVELS:
-        printed = results_table.paper(lines, task, "CPO")[results_table.MEASURES].iloc[0]
-        sides = (runs(lines, task, "CPO"), runs(lines, task, units))
-        found = [side[printed.index].mean() for side in sides]
-        for name in ("CPO", "CPO, solved"):
-            found.append(results_table.runs_as_later(name, task)[printed.index].mean())
-        off.append(pd.concat([(mean - printed).abs().round(2) for mean in found], axis=1))
-        ratios += list((printed / found[0])[list(results_table.EMCC)])
-    of_all = pd.concat(off)
-    best = of_all[[0, 1, 2]].idxmin(axis=1).value_counts()
-    closer = of_all[2] < of_all[0]
-    assert [closer[m].all() for m in (*results_table.EMCC, "J_C")] == [True] * 4
-    cpo, unstopped, barrier = (
-        pd.concat([results_table.runs_as_later(name, task) for task in LEVELS])
-        for name in ("CPO", "CPO, solved", "SAC-LB")
-    )
-    ends = [
-        own.ends_in.str.startswith("corridor") for own in (cpo, on(lines, units, LEVELS), unstopped)
-    ]
-    assert [(of_all[3] < of_all[0])[measure].all() for measure in results_table.EMCC] == [True] * 3
-    still = (of_all[3] < of_all[0]).sum()
-    in_units = of_all[1] < of_all[0]
-    assert sum(in_units[measure].sum() for measure in results_table.EMCC) == 11
-    waiting = barrier.ends_in == "right rim"
-    assert barrier.J_C.max() == 0
-    lag = pd.concat([results_table.runs_as_later("SAC-Lag", task) for task in LEVELS])
-    lag_through = lag[3:].ends_in == "corridor, through"
-    assert lag[:3].ends_in.str.contains("rim").all()
-    nearer_lag = np.sum([results_table.nearer_as_later("SAC-Lag", t) for t in LEVELS], axis=0)
-    for task in LEVELS:
-        printed = results_table.paper(lines, task, "SAC-Lag").iloc[0]
-        later, usual = results_table.runs_as_later("SAC-Lag", task), runs(lines, task, "SAC-Lag")
-        for name, closer_by in (("J_C", later), ("EMCC_0.33", usual)):
-            sides = [abs(own[name].mean() - printed[name]) for own in (later, usual)]
-            assert (sides[0] < sides[1]) == (closer_by is later)
-    told(
-        "results/library/README.md",
-        f"nearer in {nearer_lag[0]} of 28, the preset in {nearer_lag[1]}.",
-        f"go through on levels 1 to 3, in {share(lag_through)}.",
-        f"nearer than the preset in {sum(one for one, _ in nearer)} of 28 measures",
-        f"none ends in the corridor, {share(ends[0])}; in units of length alone "
-        f"{share(ends[1], '')} do",
-        f"nearer than the preset in {in_units.sum()} measures, eleven of EMCC among them, and "
-        f"nearest of the three in {best[1]}, this in {best[2]}.",
-        f"{min(ratios):.1f} to {max(ratios):.1f} times the preset's",
-        f"nearer than the preset in {still} of 28 measures, among them again all twelve of EMCC, "
-        f"but {share(ends[2])} end in the corridor, where with the early stop none does (Fisher's "
-        f"exact test, {fisher(ends[0], ends[2])}).",
-        f"{share(waiting)} wait at the rim",
-    )
+@pytest.mark.parametrize("name", results_pages.PAGES)
+def test_pages_made_again_do_not_differ(name):
+    """`python docs/_ext/results_pages.py` writes them."""
+    assert results_pages.made(name) == page(f"results/{name}/README.md")
+
+
+def test_the_grid_s_page_on_the_later_library():
+    numbers = results_pages.library()
     told(
         "results/README.md",
-        f"in {sum(one for one, _ in nearer)} of 28 measures, and {share(ends[0])} end in the "
-        "corridor",
+        f"in {count(numbers['nearer'].as_later)} measures, and "
+        f"{share(numbers['corridor']['as_later'])} end in the corridor",
     )
 
 

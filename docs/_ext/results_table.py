@@ -516,7 +516,6 @@ def _row(*cells: str) -> str:
 PAGES = {
     "README.md": (grid, equal_rates),
     "safety/README.md": (safety,),
-    "library/README.md": (later_library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
     "baselines/README.md": (
         baselines,
@@ -525,7 +524,7 @@ PAGES = {
     ),
     "solve/README.md": (solving, compared, parts, nested),
 }
-"""The tables of each page."""
+"""The tables of each page whose text is written by hand; `results_pages` makes the others."""
 
 if __name__ == "__main__":
     for tables in PAGES.values():

@@ -1,0 +1,114 @@
+"""Pages of results/, made from templates and the reports' numbers.
+
+python docs/_ext/results_pages.py writes the pages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import results_table
+import scipy.stats
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from results_table import EMCC, LEVELS, MEASURES, RESULTS, paper, report, runs, runs_as_later
+
+import emcc
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def share(chosen: pd.Series, words: str = " runs") -> str:
+    """How many of some runs, with the interval of their share."""
+    ends = emcc.share(int(chosen.sum()), len(chosen))
+    counted = f"{results_table.count(chosen)}{words}"
+    return f"{counted} [{results_table.short(ends.low)}, {results_table.short(ends.high)}]"
+
+
+def of_all(chosen: pd.Series) -> str:
+    """How many, where there is one that is not."""
+    return f"all {len(chosen)}" if chosen.all() else results_table.count(chosen)
+
+
+def fisher(a: pd.Series, b: pd.Series) -> str:
+    """The p value of Fisher's exact test on the runs of two sides."""
+    table = [[int(side.sum()), int((~side).sum())] for side in (a, b)]
+    return results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
+
+
+Runs = Callable[[str], pd.DataFrame]
+"""Some runs of an algorithm on a task."""
+
+
+def distances(algorithm: str, sides: Mapping[str, Runs]) -> pd.DataFrame:
+    """How far means are from what the paper prints for an algorithm, to its two digits: a column
+    for each side, a row for each level and measure, which is the index."""
+    found = []
+    for task in LEVELS:
+        printed = paper(report("circle2d"), task, algorithm)[MEASURES].iloc[0]
+        means = {side: of(task)[MEASURES].mean() for side, of in sides.items()}
+        found.append(
+            pd.DataFrame({k: (mean - printed).abs().round(2) for k, mean in means.items()})
+        )
+    return pd.concat(found)
+
+
+def library() -> dict[str, Any]:
+    """CPO as in a later library beside its preset, units of length alone, and the paper."""
+    lines = report("circle2d")
+    sides: dict[str, Runs] = {
+        "preset": lambda task: runs(lines, task, "CPO"),
+        "units": lambda task: runs(lines, task, "CPO (input_scale 15.0)"),
+        "as_later": lambda task: runs_as_later("CPO", task),
+        "solved": lambda task: runs_as_later("CPO, solved", task),
+    }
+    off = distances("CPO", sides)
+    nearer = off.lt(off["preset"], axis=0)
+    barrier, lag = (
+        pd.concat([runs_as_later(name, task) for task in LEVELS]) for name in ("SAC-LB", "SAC-Lag")
+    )
+    lags = {
+        "preset": lambda task: runs(lines, task, "SAC-Lag"),
+        "as_later": lambda task: runs_as_later("SAC-Lag", task),
+    }
+    of_lag = distances("SAC-Lag", lags)
+    ratios = [
+        paper(lines, task, "CPO")[measure].item() / sides["preset"](task)[measure].mean()
+        for task in LEVELS
+        for measure in EMCC
+    ]
+    return {
+        "later_library": "\n".join(results_table.later_library()),
+        "nearer": nearer,
+        "nearest": off[["preset", "units", "as_later"]].idxmin(axis=1),
+        "ratios": ratios,
+        "corridor": {
+            side: pd.concat(map(of, LEVELS)).ends_in.str.startswith("corridor")
+            for side, of in sides.items()
+        },
+        "at_start": barrier.ends_in == "right rim",
+        "lag_nearer": of_lag["as_later"] < of_lag["preset"],
+        "lag_farther": of_lag["as_later"] > of_lag["preset"],
+        "lag_at_rims": lag.ends_in[:3].str.contains("rim"),
+        "lag_through": lag.ends_in[3:] == "corridor, through",
+        "emcc": list(EMCC),
+    }
+
+
+PAGES = {"library": library}
+"""The numbers of each page, a folder of results/."""
+
+
+def made(name: str) -> str:
+    """The text of a page."""
+    loader = FileSystemLoader(TEMPLATES)
+    templates = Environment(loader=loader, undefined=StrictUndefined, keep_trailing_newline=True)
+    words = {"share": share, "fisher": fisher, "count": results_table.count, "of_all": of_all}
+    return templates.get_template(f"{name}.md").render(PAGES[name]() | words)
+
+
+if __name__ == "__main__":
+    for name in PAGES:
+        (RESULTS / name / "README.md").write_text(made(name), encoding="utf-8")
