@@ -70,7 +70,7 @@ slow: $(VENV)/develops
 	$(BIN)/python -m pytest -m slow -n logical --dist worksteal --durations 20
 
 docs: $(VENV)/develops
-	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b html -d docs/_build/doctrees docs docs/_build/html
 	@echo "The documentation: $(abspath docs/_build/html/index.html)"
 
 # Status 1 of a report says that it names runs which failed.
