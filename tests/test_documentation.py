@@ -25,14 +25,15 @@ PAGES = [ROOT / "README.md", ROOT / "emcc" / "README.md", *sorted(DOCS.rglob("*.
 PAGES = [page for page in PAGES if not {"made", "_build"} & set(page.parts)]
 TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
 SLOW = ("docs/training.md",)
-ELSEWHERE = ("docs/extending.md", "docs/ray.md")
-"""Pages whose code has tests of its own: test_extending.py; those of the engine ray."""
+ELSEWHERE = ("docs/extending.md", "docs/first_steps.md", "docs/ray.md")
+"""Pages whose code has tests of its own: test_extending.py, test_first_steps.py, those of ray."""
 DRAWING = ("docs/environments.md",)
 README = TEXTS["README.md"]
-OWN = {"sac-fixed": {"--price"}, "trpo-price": {"--price"}, "sac-mw": {"--gain"}}
+OWN = {name: {"--price"} for name in ("sac-fixed", "trpo-price", "ppo-price")}
+OWN |= {"sac-mw": {"--gain"}}
 OWN |= {"sac-quantile": {"--cost-critics"}, "reinforce-state": {"--std"}}
 OWN |= {"ppo-two": {"--cost-limit", "--second-limit"}}
-"""Algorithms of docs/extending.md, and their options."""
+"""Algorithms of docs/extending.md and docs/first_steps.md, and their options."""
 TITLES = ("Description", "Action space", "Observation space", "Reward", "Cost", "Start", "End")
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 
