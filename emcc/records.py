@@ -356,12 +356,29 @@ def unpack_costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float
     return costs
 
 
+def digits(numbers: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """Whole numbers >= 0 as bytes [D, ...], the lowest first: apart they pack to less."""
+    size = max(1, -(-int(numbers.max(initial=0)).bit_length() // 8))
+    return np.array([(numbers >> 8 * k) & 255 for k in range(size)], dtype=np.uint8)
+
+
+def of_digits(bytes_: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """The numbers [...] of `digits`. ValueError for other arrays."""
+    if bytes_.dtype != np.uint8 or bytes_.ndim < 2 or not 0 < len(bytes_) < 8:
+        raise ValueError(f"{bytes_.dtype} {list(bytes_.shape)} are no bytes of whole numbers")
+    return sum(row.astype(np.int64) << 8 * k for k, row in enumerate(bytes_))
+
+
 def records_of(
     arrays: Mapping[str, NDArray], prefix: str, cost: str, threshold: float = 0.0
 ) -> EpisodeRecords:
     """Records of a run, with one of its costs, from the arrays of a training's results.npz, whose
-    names begin with the prefix: costs of steps, or in an archive a row for each episode, whose
-    `cost` is left out where each cost step costs 1."""
+    names begin with the prefix: the costs of steps, or in an archive a row for each episode.
+
+    Of an archive: returns are (`return` + lowest) / scale, which two numbers are `return/from`.
+    `costs/NAME/kind` numbers the rows of `/kinds`, [K, 3]: longest streak, cost steps, streaks; its
+    `/cost` is left out where each cost step costs 1.
+    """
     rollouts, of_cost = arrays[prefix + "rollouts"], f"{prefix}costs/{cost}/"
     ids, length = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
     length, reward = length.astype(np.int64), arrays[prefix + "return"]
@@ -371,9 +388,11 @@ def records_of(
         return replace(records, reward=reward)
     if threshold:
         raise ValueError("holds streaks, not costs of steps: leave the threshold out")
-    streaks, cost_steps = (arrays[of_cost + name] for name in ("longest_streak", "cost_steps"))
+    lowest, scale = arrays[prefix + "return/from"].tolist()
+    reward = (of_digits(reward) + lowest) / scale
+    streaks, cost_steps, count = arrays[of_cost + "kinds"][of_digits(arrays[of_cost + "kind"])].T
     sums = arrays.get(of_cost + "cost", cost_steps)
-    last = (streaks, cost_steps, arrays[of_cost + "streaks"])
+    last = (streaks, cost_steps, count)
     return EpisodeRecords(ids, np.cumsum(length) - length, length, reward, sums, *last)
 
 

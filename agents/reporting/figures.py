@@ -26,7 +26,7 @@ from agents.results.statistics import (
     mean_of,
 )
 from agents.training.config import TrainConfig
-from agents.training.derive import three_digits
+from agents.training.derive import thousandths
 from circle2d_mj.registration import CIRCLE2D
 from emcc import EpisodeRecords, emcc, iqm, profile
 from emcc.parts import ALPHA, PARTS
@@ -150,7 +150,8 @@ def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> 
         part = np.minimum(records.start_step * POINTS // total_steps, POINTS - 1)
         values = getattr(records, column)
         if column == "reward":  # as archives keep it, so that a report from one has the same bytes
-            values = three_digits(records.reward)
+            whole, scale = thousandths(records.reward)
+            values = whole / scale
         sums = np.bincount(part, values, minlength=POINTS)
         count = np.bincount(part, minlength=POINTS)
         rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))

@@ -227,7 +227,7 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
             notes.append(f"no heat map of {group.title}: {why}")
             continue
         names.append(name_of(group))
-        columns.append([(scene, visits_words(part), _coarser(part.counts)) for part in parts])
+        columns.append([(scene, visits_words(part), part.counts) for part in parts])
     if not columns:
         return None
     most = canvas.most_visits([counts for column in columns for *_, counts in column])
@@ -242,12 +242,6 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     )
     rows = [f"{part} of training" for part in PARTS.values()]
     return Maps("Visited states", words, names, rows, cells, most)
-
-
-def _coarser(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Counts of cells of twice the side: on a page the smaller ones are a pixel or two."""
-    half = len(counts) // 2
-    return counts.reshape(half, 2, half, 2).sum(axis=(1, 3))
 
 
 def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
@@ -310,12 +304,11 @@ def _line(points: NDArray[np.int64]) -> str:
 def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> dict[str, Any]:
     """The data of the player; no runs where none has recorded positions and costs.
 
-    Of more than `REPLAYED` runs it has the first seeds of each group. That, and what cannot be
-    replayed of a task with positions, goes into the notes.
+    It has the first seeds of each group: `DRAWN_POLICIES`, fewer where these are more than
+    `REPLAYED` runs. What cannot be replayed of a task with positions goes into the notes.
     """
-    runs, most = [], max((len(group.runs) for group in groups), default=0)
-    if sum(len(group.runs) for group in groups) > REPLAYED:
-        most = max(1, REPLAYED // len(groups))
+    runs, most = [], min(DRAWN_POLICIES, max(1, REPLAYED // max(1, len(groups))))
+    if any(len(group.runs) > most for group in groups):
         notes.append(f"seeds of each algorithm in the replay: {most}")
     for group in in_order(groups):
         scene = scenes.get(group, notes) if group.runs else None

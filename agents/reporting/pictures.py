@@ -31,6 +31,8 @@ from circle2d_mj.render.figure import figure
 from emcc import longest_streak
 from emcc.parts import PARTS
 
+CELLS = 160
+"""Cells along each side of a heat map."""
 SIZE = 640
 """Pixels along the side of a map."""
 AGENT = (200, 30, 30)
@@ -93,7 +95,7 @@ def _column(
     heading = name or f"{title_of(config, task, steps=taken)} on {task}"
     if name is None and set(seeds) != set(config.seeds):
         heading += f" (seeds: {', '.join(map(str, seeds))})"
-    visits = count_visits(view, runs, config.steps, parts, alpha)
+    visits = count_visits(view, runs, config.steps, parts, alpha, CELLS)
     return Column(heading, [view] * len(parts), visits)
 
 

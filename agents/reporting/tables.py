@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
@@ -23,6 +22,7 @@ from agents.results.frame import (
 )
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, RunResult
+from agents.results.recorded import Recorded
 from agents.results.statistics import (
     INTERVALS,
     Difference,
@@ -34,17 +34,16 @@ from agents.results.statistics import (
     within_limit,
 )
 from agents.training.derive import told_steps
-from emcc import longest_streaks, panel
+from emcc import panel
 from emcc.panels import (
     MOVING_WINDOW,
     CostMeasures,
     Panel,
     cost_measures,
-    emcc_of_thirds,
     window_words,
 )
 from emcc.panels import rows as panel_rows
-from emcc.parts import ALPHA, PARTS, TIES, rollouts_by_part
+from emcc.parts import ALPHA, PARTS, TIES
 from emcc.statistics import SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
@@ -397,20 +396,22 @@ HEAD_OF_RECORDED = ("steps above 0", "median", "90 %", "max", "EMCC above 0")
 
 def recorded_table(groups: Sequence[Group]) -> Table | None:
     """Numbers recorded at each step, by third of training: how many steps are above 0, how
-    much it is there, and EMCC of the steps above a threshold. None where nothing is recorded.
+    much it is there, to three digits, and EMCC of the steps above a threshold. None where nothing
+    is recorded.
 
     groups: of one task. The threshold is the median of all values above 0, to two digits.
     """
     groups = [group for group in in_order(groups) if group.runs and group.recorded]
     rows, words = [], []
     for name, unit in groups[0].recorded.items() if groups else ():
-        values = [[group.steps(run, name) for run in group.runs] for group in groups]
-        every = np.concatenate([steps for runs in values for steps in runs])
-        if (every < 0).any() or not (every > 0).any():
+        told = [[group.recorded_of(run, name) for run in group.runs] for group in groups]
+        every = [of_run for runs in told for of_run in runs]
+        above = np.concatenate([of_run.above_0() for of_run in every])
+        if any(of_run.lowest < 0 for of_run in every) or not len(above):
             continue
-        threshold = float(f"{np.median(every[every > 0]):.2g}")
+        threshold = float(f"{np.median(above):.2g}")
         words.append(f"{name}: {threshold:g} {unit}")
-        for group, runs in zip(groups, values, strict=True):
+        for group, runs in zip(groups, told, strict=True):
             rows += _recorded_rows(group, runs, f"{name} ({unit})", threshold)
     if not rows:
         return None
@@ -422,34 +423,20 @@ def recorded_table(groups: Sequence[Group]) -> Table | None:
 
 
 def _recorded_rows(
-    group: Group, runs: Sequence[NDArray[np.float64]], words: str, threshold: float
+    group: Group, runs: Sequence[Recorded], words: str, threshold: float
 ) -> Iterator[Row]:
     """A row for each third."""
-    streaks = [
-        [emcc_above(run, steps, limit) for run, steps in zip(group.runs, runs, strict=True)]
-        for limit in (0.0, threshold)
-    ]
-    for part in PARTS:
-        inside = [s[rollouts_by_part(np.arange(len(s)), len(s))[part]] for s in runs]
-        above = np.concatenate(inside)
-        above = above[above > 0]
-        told = [*np.percentile(above, (50, 90, 100))] if len(above) else [None] * 3
-        share = mean_of([float((s > 0).mean()) for s in inside], group.one_place, SHARE)
-        cells = [number(share), *(Number(value, 3) for value in told)]
+    streaks = [[run.emcc_above(limit) for run in runs] for limit in (0.0, threshold)]
+    for k, part in enumerate(PARTS):
+        above = np.concatenate([run.above_0(k) for run in runs])
+        told = [None] * 3
+        if len(above):
+            told = [*np.percentile(above, (50, 90)), max(run.most[k] for run in runs)]
+        shares = [float(run.counts[k].sum() / run.steps[k]) for run in runs]
+        cells = [number(mean_of(shares, group.one_place, SHARE))]
+        cells += [Number(value, 3) for value in told]
         cells += [
             number(mean_of([run[part] for run in of_limit], group.one_place, SHARE))
             for of_limit in streaks
         ]
         yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
-
-
-def emcc_above(
-    run: RunResult, steps: NDArray[np.float64], threshold: float
-) -> dict[float, float | None]:
-    """EMCC by third of training, of a run's steps above a threshold.
-
-    steps: a number recorded at each step, [steps].
-    """
-    streaks = longest_streaks(steps, run.records.length, threshold)
-    records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
-    return emcc_of_thirds(records, run.total_steps, window=run.window)

@@ -2,12 +2,19 @@
 
 Beside config.json and status.json a training has there, with names as in `training.derive`:
 
-- `results.npz`: of each cost `costs/NAME/longest_streak`, `/cost_steps`, `/streaks` and, unless
-  each cost step costs 1, `/cost`; returns of training's episodes to three digits; of the updates,
-  which `epochs` numbers, the multipliers, at most `POINTS` of them; all else as it was
-- `pictures.npz`: what a page draws. `trained/states`, `/positions` and `/unsafe`, a bit each: see
-  `derive.Drawn`; `replay/drawn`, `/unsafe`, `/box` and `/steps`: see `results.reading.Highlights`;
-  `visits` and `visited`
+- `results.npz`: of each cost `costs/NAME/kinds`, `/kind` and, unless each cost step costs 1,
+  `/cost`; returns of training's episodes to three digits of the largest, `return` and
+  `return/from`: see `emcc.records.records_of`; of a number that was recorded at each step what
+  tables tell, `info/NAME/...`: see `results.recorded.packed`; of the updates, which `epochs`
+  numbers, the multipliers, at most `POINTS` of them; all else as it was, evaluations among it
+- `pictures.npz`: what a page draws. Of each task `visits`, as digits, and `visited`. Of the first
+  `DRAWN_POLICIES` runs of a task `trained/states`, `/positions` and `/unsafe`, a bit each: see
+  `derive.Drawn`; `replay/drawn`, as `derive.path_digits`, `/unsafe`, `/box` and `/steps`: see
+  `results.reading.Highlights`
+
+What is gone: costs and recorded numbers of single steps, so that no other threshold of a cost step
+can be asked for; other numbers of the updates; checkpoints; the pictures of further runs. All
+measures, with windows of any size too, are what they were.
 """
 
 from __future__ import annotations
@@ -23,18 +30,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
+from agents.results import recorded
 from agents.results.reading import PICTURES, Group, Part, name_of_all
-from agents.training.config import CONFIG, RESULTS, STATUS, RunId
-from agents.training.derive import smallest, three_digits
+from agents.training.config import CONFIG, RESULTS, STATUS, RunId, file_name
+from agents.training.derive import DRAWN_POLICIES, path_digits, smallest, thousandths
 from agents.training.files import UNREADABLE, whole, write_arrays
-from emcc.records import records_of
+from emcc.records import digits, records_of
 
 POINTS = 500
 """Updates, at most, whose multipliers an archive keeps of a run: every one, every second, ..."""
-OF_EPISODES = ("longest_streak", "cost_steps", "streaks")
 MULTIPLIER = "multiplier"
 """Beginning of the names of the updates' numbers that an archive keeps."""
-REPLACED = re.compile(r"(/return|/updates|/epochs|/costs/.*|/trained/.*|/replay/.*|/visit(s|ed))")
+REPLACED = re.compile(r"(/return|/updates|/epochs|/(costs|info|trained|replay)/.*|/visit(s|ed))")
 """Ends of names below a run or a task that `results.npz` has in another form, or not."""
 
 
@@ -45,13 +52,22 @@ def write_archive(path: Path, groups: Sequence[Group]) -> None:
         archive.comment = name_of_all(groups).encode()
         for folder, part in sorted(parts.items()):
             prefix = "" if folder == "." else folder + "/"
-            files = [name for name in (CONFIG, STATUS) if (part.path / name).is_file()]
-            contents = {name: (part.path / name).read_bytes() for name in files}
-            contents[RESULTS] = _npz(lean_results(part))
-            if pictures := lean_pictures(part):
-                contents[PICTURES] = _npz(pictures)
-            for name, data in contents.items():
-                archive.writestr(zipfile.ZipInfo(prefix + name), data)  # of a fixed date
+            for name, data in _files(part).items():
+                member = zipfile.ZipInfo(prefix + name)  # of a fixed date
+                # As a whole: arrays of runs are alike, and so are the names of hundreds.
+                archive.writestr(member, data, zipfile.ZIP_LZMA)
+
+
+def _files(part: Part) -> dict[str, bytes]:
+    """The files of a training in an archive; those of one that comes from an archive are kept."""
+    is_packed = any(name.endswith("/return/from") for name in part.arrays)
+    names = (CONFIG, STATUS, RESULTS, PICTURES) if is_packed else (CONFIG, STATUS)
+    files = {n: (part.path / n).read_bytes() for n in names if (part.path / n).is_file()}
+    if not is_packed:
+        files[RESULTS] = _npz(lean_results(part))
+        if pictures := lean_pictures(part):
+            files[PICTURES] = _npz(pictures)
+    return files
 
 
 def lean_results(part: Part) -> dict[str, NDArray]:
@@ -65,7 +81,7 @@ def lean_results(part: Part) -> dict[str, NDArray]:
         if f"{prefix}/length" in arrays:
             try:
                 kept |= _of_run(part, run, columns)
-            except UNREADABLE:
+            except (*UNREADABLE, UserError):
                 damaged.append(prefix)
     for name in arrays:
         prefix = next((run for run in runs if name.startswith(run + "/")), name.partition("/")[0])
@@ -75,18 +91,27 @@ def lean_results(part: Part) -> dict[str, NDArray]:
 
 
 def _of_run(part: Part, run: RunId, columns: Sequence[int]) -> dict[str, NDArray]:
-    """Episodes and multipliers of a run."""
+    """Episodes, recorded numbers and multipliers of a run."""
     arrays, prefix = part.arrays, run.prefix
     kept: dict[str, NDArray] = {}
     for cost in part.config.costs:
         records = records_of(arrays, prefix, cost)
-        for name in OF_EPISODES:
-            kept[f"{prefix}costs/{cost}/{name}"] = smallest(getattr(records, name))
+        rows = np.stack([records.longest_streak, records.cost_steps, records.streaks], axis=1)
+        kinds, kind = np.unique(rows, axis=0, return_inverse=True)
+        kept[f"{prefix}costs/{cost}/kinds"] = smallest(kinds)
+        kept[f"{prefix}costs/{cost}/kind"] = digits(kind.ravel())
         if (records.cost != records.cost_steps).any():
             kept[f"{prefix}costs/{cost}/cost"] = records.cost
-    returns = three_digits(arrays[prefix + "return"])
-    fits = np.abs(returns).max(initial=0.0) < np.finfo(np.float32).max
-    kept[prefix + "return"] = returns.astype(np.float32) if fits else returns
+    numbers, scale = thousandths(arrays[prefix + "return"])
+    lowest = numbers.min(initial=0)
+    kept[prefix + "return"] = digits(numbers - lowest)
+    kept[prefix + "return/from"] = np.array([lowest, scale])
+    records = records_of(arrays, prefix, part.config.costs[0])
+    for name, _ in arrays.get(file_name(run.task) + "/info", ()):
+        if f"{prefix}info/{name}/steps" in arrays:
+            values = part.of_steps(f"{prefix}info/{name}/", records.total_steps)
+            found = recorded.packed(values, records).items()
+            kept |= {f"{prefix}info/{name}/{key}": array for key, array in found}
     if columns and prefix + "updates" in arrays:
         updates = arrays[prefix + "updates"][:, columns].astype(np.float32)
         epochs = arrays.get(prefix + "epochs", np.arange(len(updates), dtype=np.int32))
@@ -99,11 +124,12 @@ def lean_pictures(part: Part) -> dict[str, NDArray]:
     """`pictures.npz` of an archive; a picture that is damaged is left out."""
     kept: dict[str, NDArray] = {}
     for task in part.config.tasks:
-        for name in ("visits", "visited"):
-            name = RunId(task, 0).prefix.removesuffix("0/") + name
-            with contextlib.suppress(UserError, KeyError):
-                kept[name] = part.pictures[name] if name in part.pictures else part.arrays[name]
-    for run in part.config.runs:
+        prefix = file_name(task) + "/"
+        with contextlib.suppress(UserError, KeyError):
+            kept[prefix + "visits"] = digits(part.visits(task))
+            kept[prefix + "visited"] = part.arrays[prefix + "visited"]
+    first = part.config.seeds[:DRAWN_POLICIES]
+    for run in (run for run in part.config.runs if run.seed in first):
         with contextlib.suppress(*UNREADABLE, UserError):
             kept |= _trained(part, run)
         with contextlib.suppress(*UNREADABLE, UserError):
@@ -130,7 +156,7 @@ def _replay(part: Part, run: RunId) -> dict[str, NDArray]:
     if replay is None:
         return {}
     points, unsafe = zip(*((e.points, e.unsafe) for e in replay.episodes), strict=True)
-    arrays: dict[str, NDArray] = {"drawn": np.concatenate(points)}
+    arrays: dict[str, NDArray] = {"drawn": path_digits(np.concatenate(points))}
     arrays |= {"unsafe": np.packbits(np.concatenate(unsafe)), "box": replay.box}
     arrays["steps"] = np.array(part.replay_steps(run))
     return {f"{run.prefix}replay/{name}": array for name, array in arrays.items()}
@@ -138,5 +164,5 @@ def _replay(part: Part, run: RunId) -> dict[str, NDArray]:
 
 def _npz(arrays: Mapping[str, NDArray]) -> bytes:
     buffer = io.BytesIO()
-    write_arrays(buffer, arrays, zipfile.ZIP_LZMA)
+    write_arrays(buffer, arrays)
     return buffer.getvalue()

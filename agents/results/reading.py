@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import OwnCodeError, UserError
+from agents.results import recorded
 from agents.results.measures import RunData, measured
+from agents.results.recorded import Recorded
 from agents.training import derive
 from agents.training.config import (
     CHECKPOINTS,
@@ -46,7 +48,7 @@ from emcc import CostRecorder, EpisodeRecords, cvar
 from emcc.arrays import as_array
 from emcc.npz import open_zip
 from emcc.parts import PARTS
-from emcc.records import records_of, unpack_costs
+from emcc.records import of_digits, records_of, unpack_costs
 
 CVAR_ALPHA = 0.5
 PICTURES = "pictures.npz"
@@ -181,6 +183,16 @@ class Part:
         """`config.json`."""
         return read_json(self.path / CONFIG)
 
+    def visits(self, task: str) -> NDArray[np.int64]:
+        """Visits of each cell, [3, CELLS, CELLS]: see `Visits`."""
+        name, cells = file_name(task) + "/visits", derive.CELLS
+        if name in self.pictures:
+            return of_digits(self.get(name, -1, len(PARTS), cells, cells))
+        counts = self.get(name, len(PARTS), -1, -1).astype(np.int64)
+        if counts.shape[1:] == (2 * cells, 2 * cells):  # before 0.4
+            return counts.reshape(len(PARTS), cells, 2, cells, 2).sum(axis=(2, 4))
+        return self.get(name, len(PARTS), cells, cells).astype(np.int64)
+
     def trained(self, run: RunId) -> list[Drawn] | None:
         """See `Group.trained`."""
         prefix = f"{run.prefix}trained/"
@@ -208,7 +220,7 @@ class Part:
         total, ends = int(length.sum()), np.cumsum(length)[:-1]
         at = [derive.shown_states(steps) for steps in length]
         if self.has(prefix + "drawn"):
-            drawn = self.get(prefix + "drawn", sum(map(len, at)), 2)
+            drawn = derive.path_of(self.get(prefix + "drawn", -1, 2, sum(map(len, at))))
             points = np.split(drawn, np.cumsum([*map(len, at)])[:-1])
             unsafe = np.split(self._bits(prefix + "unsafe", total), ends)
         else:
@@ -223,6 +235,16 @@ class Part:
         """Environment steps that the windows of a run's replay divide."""
         name = f"{run.prefix}replay/steps"
         return max(1, int(self.get(name))) if self.has(name) else self.config.steps  # before 0.4
+
+    def recorded_of(
+        self, run: RunId, name: str, records: EpisodeRecords, window: int | None = None
+    ) -> Recorded:
+        """A number that was recorded at each step of a run, with EMCC over windows or rollouts."""
+        prefix = f"{run.prefix}info/{name}/"
+        if prefix + "lowest" not in self.arrays:
+            return recorded.of_steps(self.of_steps(prefix, records.total_steps), records, window)
+        with content_of(self.path / RESULTS):
+            return recorded.unpacked(self.arrays, prefix, window)
 
     def of_steps(self, name: str, steps: int) -> NDArray[np.float64]:
         """A number of each step of a run, [steps], from the arrays below a name."""
@@ -302,8 +324,7 @@ class Group:
             if has_runs and not part.has(prefix + "visits"):
                 return None
             if has_runs:
-                counts = part.get(prefix + "visits", len(PARTS), derive.CELLS, derive.CELLS)
-                parts.append((counts.astype(np.int64), part.get(prefix + "visited", len(PARTS), 3)))
+                parts.append((part.visits(self.task), part.get(prefix + "visited", len(PARTS), 3)))
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
         rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
@@ -332,10 +353,10 @@ class Group:
             names = self.parts[0].arrays.get(file_name(self.task) + "/info", np.empty((0, 2), str))
             return dict(names.tolist())
 
-    def steps(self, run: RunResult, name: str) -> NDArray[np.float64]:
-        """A number that was recorded at each step of a run, [steps], to five digits."""
-        prefix = RunId(self.task, run.seed).prefix
-        return self._part(run.seed).of_steps(f"{prefix}info/{name}/", run.total_steps)
+    def recorded_of(self, run: RunResult, name: str) -> Recorded:
+        """A number that was recorded at each step of a run."""
+        own = RunId(self.task, run.seed)
+        return self._part(run.seed).recorded_of(own, name, run.records, run.window)
 
     def _part(self, seed: int) -> Part:
         """The part that has a seed."""

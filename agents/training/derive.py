@@ -41,10 +41,10 @@ from agents.training.files import Arrays, numbered, write_arrays
 from circle2d_mj.core.view import TellsWays, View, histogram
 from emcc import EpisodeRecords, emcc, worst
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
-from emcc.records import records_of
+from emcc.records import digits, of_digits, records_of
 
-CELLS = 160
-"""Cells along each side of a heat map."""
+CELLS = 80
+"""Cells along each side of a report's heat map, of four pixels or so."""
 WINDOWS = 60
 """Windows of the replay, equal parts of training."""
 GRID_MAX = 65_535
@@ -53,6 +53,8 @@ STATES = 128
 """States of an episode, about, that a page draws: of a longer one every second, third, ... one."""
 BITS = 10
 """Bits of a coordinate of the replay as a page draws it."""
+NEAR = 128
+"""Added to ways between points that follow each other, so that short ones are not below 0."""
 ROUNDED = 0.01
 """Share by which totals of steps may differ and count as equal."""
 DRAWN_POLICIES = 5
@@ -63,7 +65,7 @@ class Visits(NamedTuple):
     """States that the agents of some runs visited in a part of their training."""
 
     counts: NDArray[np.int64]
-    """Visits of each cell, [CELLS, CELLS], the top row first."""
+    """Visits of each cell, [cells, cells], the top row first."""
     emcc: float
     """Mean over the runs."""
     rollouts: int
@@ -261,16 +263,18 @@ def count_visits(
     steps: int,
     parts: Sequence[float] = tuple(PARTS),
     alpha: float = ALPHA,
+    cells: int = CELLS,
 ) -> list[Visits]:
     """States of the rollouts that dominate EMCC in some parts of training, all runs together.
 
     runs: records and positions [steps, 2] of each; steps: asked of each; alpha: the share of
-    rollouts with the highest MCC, those equal to the last of them included; 1 takes all. Source:
-    the figures of visited states. Raises UserError where no rollout starts in a part.
+    rollouts with the highest MCC, those equal to the last of them included; 1 takes all. cells:
+    along each side. Source: the figures of visited states. Raises UserError where no rollout starts
+    in a part.
     """
     visits = []
     for part in parts:
-        counts, values, chosen, every = np.zeros((CELLS, CELLS), np.int64), [], 0, 0
+        counts, values, chosen, every = np.zeros((cells, cells), np.int64), [], 0, 0
         for records, positions in runs:
             mcc, starts = records.mcc_per_rollout()
             in_part = np.flatnonzero(rollouts_by_part(starts, whole_training(records, steps))[part])
@@ -279,7 +283,7 @@ def count_visits(
             dominating = in_part[worst(mcc[in_part], alpha)]
             rollouts = np.unique(records.rollout)[dominating]
             rows = np.repeat(np.isin(records.rollout, rollouts), records.length)
-            counts += histogram(view.extent, positions[rows], CELLS)
+            counts += histogram(view.extent, positions[rows], cells)
             values.append(emcc(mcc[in_part], alpha))
             chosen, every = chosen + len(dominating), every + len(in_part)
         visits.append(Visits(counts, float(np.mean(values)), chosen, every))
@@ -336,6 +340,18 @@ def coarse(points: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
 
 
+def path_digits(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Points of `coarse`, [K, 2], as the digits of the ways from one to the next, [D, 2, K], which
+    pack to less: most fit one byte. `path_of` reads them."""
+    ways = np.diff(points.astype(np.int64), axis=0, prepend=0) + NEAR
+    return digits((ways % 2**BITS).T)
+
+
+def path_of(ways: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """The points of `path_digits`."""
+    return (np.cumsum(of_digits(ways) - NEAR, axis=1) % 2**BITS).T.astype(np.uint16)
+
+
 def places_of(
     view: View | None, ends: NDArray[np.float32], costs: NDArray[np.float64]
 ) -> dict[str, NDArray]:
@@ -356,11 +372,22 @@ def places_of(
 
 
 def three_digits(values: NDArray) -> NDArray[np.float64]:
-    """Numbers to three significant digits. Those of float32 are rounded to the same."""
+    """Numbers to three significant digits each. Those of float32 are rounded to the same."""
     exact = np.asarray(values, dtype=np.float64)
     size = np.abs(exact, where=exact != 0, out=np.ones_like(exact))
     scale = 10.0 ** (2 - np.floor(np.log10(size)))
     return np.round(exact * scale) / scale
+
+
+def thousandths(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], float]:
+    """Numbers to three digits of the one that is largest in magnitude: as whole numbers, and what
+    these are divided by. Of rounded ones the same again."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if not largest:
+        return np.zeros(len(values), np.int64), 1.0
+    digits = 2 - int(np.floor(np.log10(largest)))
+    digits -= round(largest * 10.0**digits) > 999  # 99.97 is 100
+    return np.round(values * 10.0**digits).astype(np.int64), 10.0**digits
 
 
 def five_digits(values: NDArray) -> NDArray[np.float64]:

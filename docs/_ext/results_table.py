@@ -16,7 +16,6 @@ import scipy.stats
 
 import emcc
 from agents import algorithms
-from agents.reporting.tables import emcc_above
 from agents.results.reading import read
 from emcc.parts import ALPHA
 
@@ -253,16 +252,16 @@ def forces() -> list[str]:
     the steps with more than each of `FORCES`."""
     rows = {}
     for group in read([RESULTS / "physics" / "level-0.zip"], []):
-        runs = [(run, group.steps(run, "contact_force")) for run in group.runs]
-        every = np.concatenate([force for _, force in runs])
-        felt = every[every > 0]
-        told = (f"{value:.0f}" for value in (*np.percentile(felt, (50, 99)), felt.max()))
+        runs = [group.recorded_of(run, "contact_force") for run in group.runs]
+        felt = np.concatenate([force.above_0() for force in runs])
+        steps, most = sum(run.steps.sum() for run in runs), max(run.most.max() for run in runs)
+        told = (f"{value:.0f}" for value in (*np.percentile(felt, (50, 99)), most))
         thirds = []
         for limit in FORCES:
-            above = [[*emcc_above(run, force, limit).values()] for run, force in runs]
+            above = [[*force.emcc_above(limit).values()] for force in runs]
             thirds.append("/".join(map(short, np.mean(above, axis=0))))
         name = algorithms.title(group.config.algorithm)
-        rows[name] = _row(name, short(len(felt) / len(every)), *told, *thirds)
+        rows[name] = _row(name, short(len(felt) / steps), *told, *thirds)
     return [rows[name] for name in ALGORITHMS]
 
 

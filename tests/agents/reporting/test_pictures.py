@@ -39,7 +39,7 @@ def test_the_dominating_rollouts_by_hand(tmp_path, part, alpha, rollouts, mcc):
     evaluate(tmp_path)
     (group,), steps = read_folder(tmp_path, "a"), Steps(tmp_path)
     runs = [(r.records, steps.get(RunId(TASK, r.seed), "positions")) for r in group.runs]
-    (found,) = count_visits(Circle2DView(Circle2DConfig(level=3)), runs, 120, [part], alpha)
+    (found,) = count_visits(Circle2DView(Circle2DConfig(level=3)), runs, 120, [part], alpha, 160)
     one = np.arange(240).reshape(12, 10, 2)[rollouts].reshape(-1, 2) / 100
     expected = np.zeros((160, 160), int)
     for x, y in np.concatenate((one, one + 1)):  # the arena reaches from -15 to 15

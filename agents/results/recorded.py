@@ -1,0 +1,116 @@
+"""What tables tell of a number that a task has recorded at each step: from the steps, or from an
+archive, which keeps no steps."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.training.derive import three_digits
+from emcc import EpisodeRecords, longest_streaks
+from emcc.panels import emcc_of_thirds
+from emcc.parts import PARTS, rollouts_by_part
+
+Above = Callable[[float], dict[float, float | None]]
+
+
+class Recorded(NamedTuple):
+    """A number of a run's steps. Rows are the thirds of training, and the last steps after them."""
+
+    lowest: float
+    """Of all steps."""
+    steps: NDArray[np.int64]
+    """[4]"""
+    values: NDArray[np.float64]
+    """[V]: the different values above 0 to three digits, rising"""
+    counts: NDArray[np.int64]
+    """[4, V]: steps with each"""
+    most: NDArray[np.float64]
+    """[4]: the largest value, exactly"""
+    emcc_above: Above
+    """EMCC by third of the steps above a threshold, which an archive rounds down to two digits;
+    None where no rollout starts, and in an archive for windows of episodes."""
+
+    def above_0(self, row: int | slice = slice(None)) -> NDArray[np.float64]:
+        """The values above 0 in a row, or in all, to three digits."""
+        return np.repeat(self.values, np.atleast_2d(self.counts[row]).sum(axis=0))
+
+
+def of_steps(values: NDArray[np.float64], records: EpisodeRecords, window: int | None) -> Recorded:
+    """values: [steps]. records: of the run. window: episodes of EMCC's windows, None: rollouts."""
+    parts = [*rollouts_by_part(np.arange(len(values)), len(values)).values()]
+    rows = [values[part] for part in (*parts, ~np.any(parts, axis=0))]
+    rounded = [three_digits(row[row > 0]) for row in rows]
+    different = np.unique(np.concatenate(rounded))
+    found = (np.searchsorted(different, row) for row in rounded)
+    counts = np.array([np.bincount(row, minlength=len(different)) for row in found])
+    most = np.array([row.max(initial=0.0) for row in rows])
+    above = functools.partial(_emcc_above, values, records.length, records, window)
+    sizes = np.array([*map(len, rows)])
+    return Recorded(float(values.min(initial=0.0)), sizes, different, counts, most, above)
+
+
+def _emcc_above(
+    values: NDArray[np.float64],
+    lengths: NDArray[np.int64],
+    records: EpisodeRecords,
+    window: int | None,
+    threshold: float,
+) -> dict[float, float | None]:
+    """lengths: values of each episode."""
+    streaks = longest_streaks(values, lengths, threshold)
+    changed = replace(records, longest_streak=streaks, cost_steps=None, streaks=None)
+    return emcc_of_thirds(changed, records.total_steps, window=window)
+
+
+def packed(values: NDArray[np.float64], records: EpisodeRecords) -> dict[str, NDArray]:
+    """The arrays that an archive keeps of the number; `unpacked` reads them."""
+    told = of_steps(values, records, None)
+    kept = {name: np.array(getattr(told, name)) for name in ("lowest", "steps", "most")}
+    if told.lowest < 0 or not len(told.values):  # no table tells more
+        return kept
+    kept |= {"values": told.values.astype(np.float32), "counts": told.counts.astype(np.int32)}
+    # Of steps at 0 one behind each streak is enough, and one in each episode.
+    first = np.cumsum(records.length) - records.length
+    needed = (values > 0) | np.append(True, values[:-1] > 0)
+    needed[first] = True
+    lengths = np.add.reduceat(needed, first, dtype=np.int64)
+    thresholds = two_digits(values[values > 0].min(), told.most.max())
+    above = functools.partial(_emcc_above, values[needed], lengths, records, None)
+    rows = [[*above(threshold).values()] for threshold in thresholds.tolist()]
+    return kept | {"thresholds": thresholds, "emcc": np.array(rows, dtype=float)}
+
+
+def two_digits(least: float, most: float) -> NDArray[np.float64]:
+    """0, and the numbers of two digits from the last that is at most `least` to the first that is
+    at least `most`, both above 0."""
+    powers = range(math.floor(math.log10(least)) - 1, math.floor(math.log10(most)) + 2)
+    numbers = np.array([float(f"{k}e{power - 1}") for power in powers for k in range(10, 100)])
+    first, last = np.searchsorted(numbers, least, "right") - 1, np.searchsorted(numbers, most)
+    return np.append(0.0, numbers[first : last + 1])
+
+
+def unpacked(arrays: Mapping[str, NDArray], prefix: str, window: int | None) -> Recorded:
+    """arrays: of an archive; prefix: before the names of `packed`."""
+    lowest, steps, most = (arrays[prefix + name] for name in ("lowest", "steps", "most"))
+    nothing = np.zeros((len(PARTS) + 1, 0))
+    values = three_digits(arrays.get(prefix + "values", nothing[0]))
+    counts = arrays.get(prefix + "counts", nothing).astype(np.int64)
+    if counts.shape != (len(steps), len(values)) or len(steps) != len(nothing):
+        raise ValueError(f"{prefix}counts has shape {list(counts.shape)} for {len(values)} values")
+
+    def above(threshold: float) -> dict[float, float | None]:
+        if window is not None:
+            return dict.fromkeys(PARTS)
+        thresholds, emcc = arrays[prefix + "thresholds"], arrays[prefix + "emcc"]
+        row = np.searchsorted(thresholds, threshold * (1 + 1e-9), "right") - 1
+        told = (None if np.isnan(value) else float(value) for value in emcc[row])
+        return dict(zip(PARTS, told, strict=True))
+
+    return Recorded(float(lowest), steps, values, counts, most, above)
