@@ -366,7 +366,7 @@ def of_digits(bytes_: NDArray[np.uint8]) -> NDArray[np.int64]:
     """The numbers [...] of `digits`. ValueError for other arrays."""
     if bytes_.dtype != np.uint8 or bytes_.ndim < 2 or not 0 < len(bytes_) < 8:
         raise ValueError(f"{bytes_.dtype} {list(bytes_.shape)} are no bytes of whole numbers")
-    return sum(row.astype(np.int64) << 8 * k for k, row in enumerate(bytes_))
+    return np.tensordot(256 ** np.arange(len(bytes_)), bytes_, axes=1)
 
 
 def records_of(

@@ -39,6 +39,8 @@ from emcc.records import digits, records_of
 
 POINTS = 500
 """Updates, at most, whose multipliers an archive keeps of a run: every one, every second, ..."""
+OF_EPISODES = ("longest_streak", "cost_steps", "streaks")
+"""Columns of `costs/NAME/kinds`."""
 MULTIPLIER = "multiplier"
 """Beginning of the names of the updates' numbers that an archive keeps."""
 REPLACED = re.compile(r"(/return|/updates|/epochs|/(costs|info|trained|replay)/.*|/visit(s|ed))")
@@ -96,7 +98,7 @@ def _of_run(part: Part, run: RunId, columns: Sequence[int]) -> dict[str, NDArray
     kept: dict[str, NDArray] = {}
     for cost in part.config.costs:
         records = records_of(arrays, prefix, cost)
-        rows = np.stack([records.longest_streak, records.cost_steps, records.streaks], axis=1)
+        rows = np.stack([getattr(records, name) for name in OF_EPISODES], axis=1)
         kinds, kind = np.unique(rows, axis=0, return_inverse=True)
         kept[f"{prefix}costs/{cost}/kinds"] = smallest(kinds)
         kept[f"{prefix}costs/{cost}/kind"] = digits(kind.ravel())
