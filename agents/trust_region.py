@@ -46,12 +46,12 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     cg_iterations: Annotated[int, In(1, 10_000)] = 15
     """Iterations of conjugate gradients. Paper: 15."""
     cg_damping: Annotated[float, In(0, 1e6)] = 0.1
-    """Added to the diagonal of the KL divergence's Hessian. Not printed in the paper; 0.1 as in
+    """Added to the diagonal of the KL divergence's Hessian. Not specified in the paper; 0.1 as in
     Stable-Baselines3."""
     line_search_steps: Annotated[int, In(1, 10_000)] = 15
     """Lengths of a step that are tried at most. Paper: 15."""
     line_search_decay: Annotated[float, In(above=0, high=1)] = 0.8
-    """Factor between the lengths tried, in (0, 1]. Not printed in the paper; 0.8 as in
+    """Factor between the lengths tried, in (0, 1]. Not specified in the paper; 0.8 as in
     Stable-Baselines3."""
 
 

@@ -22,7 +22,7 @@ from circle2d_mj.registration import CIRCLE2D, SAFETY
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "emcc" / "README.md", *sorted(DOCS.rglob("*.md"))]
-PAGES = [page for page in PAGES if not {"made", "_build"} & set(page.parts)]
+PAGES = [page for page in PAGES if not {"made", "_build", "_ext"} & set(page.parts)]
 TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
 SLOW = ("docs/training.md",)
 ELSEWHERE = ("docs/extending.md", "docs/first_steps.md", "docs/ray.md")

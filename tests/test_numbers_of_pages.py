@@ -127,8 +127,8 @@ def test_the_verdicts():
     # Two more are not reproduced on Safety tasks: test_the_claim_on_safety_point_circle, _hopper.
     told(
         "README.md",
-        "Of eleven of the paper's claims it reproduces one, does not reproduce eight, and leaves "
-        "two undecided",
+        "Of eleven of the paper's claims the reconstruction reproduces one, does not reproduce "
+        "eight, and leaves two undecided",
     )
 
 
@@ -211,18 +211,6 @@ def test_the_safety_tasks():
     for name in ("CPO", "SAC-Lag", "SAC-LB"):
         other = runs(lines, results_table.POINT_GOAL, name)
         assert other.J_R.mean() > own.J_R.mean() and (other.J_C > SAFETY_LIMIT).all()
-
-
-def test_cpo_on_the_paper_s_safety_tasks():
-    lines = results_table.report("safety")
-    tasks = results_table.POINT_CIRCLE, results_table.POINT_GOAL, results_table.HOPPER
-    kept = [count(runs(lines, task, "CPO").J_C <= SAFETY_LIMIT) for task in tasks]
-    told(
-        "README.md",
-        "On the paper's Safety tasks, [10 000 000 steps each](results/safety/README.md), CPO keeps "
-        f"the limit in {kept[0]} runs on SafetyPointCircle1, {kept[2]} on SafetyHopperVelocity, "
-        f"{kept[1]} on SafetyPointGoal1.",
-    )
 
 
 def test_ten_episodes_instead_of_a_hundred():

@@ -29,7 +29,7 @@ class TRPOLagConfig(MultiplierConfig, StreakLimit, TRPOConfig):
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
     PID controller sets it (pid; Stooke et al. 2020). It decides how runs end. Inferred for the
-    paper's Circle2D, not printed: adam."""
+    paper's Circle2D, not specified: adam."""
 
 
 def advantage(

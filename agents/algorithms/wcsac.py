@@ -40,13 +40,13 @@ class WCSACConfig(MultiplierOfConfig):
     """
 
     initial_multiplier: Annotated[float, In(-50, 50)] = 0.0  # far from where exp overflows
-    """Initial parameter of the multiplier, before it is mapped to positive numbers. Not printed in
-    the paper."""
+    """Initial parameter of the multiplier, before it is mapped to positive numbers. Not specified
+    in the paper."""
     risk_level: Annotated[float, In(above=0, high=1)] = 0.5
     """Share α of the worst cost returns whose mean is bounded; 1 bounds the mean of all.
     Paper: 0.5."""
     damping: Annotated[float, In(0, 1e6)] = 10.0
-    """Scale of the damping of the multiplier in the actor's loss. Not printed in the paper; 10 in
+    """Scale of the damping of the multiplier in the actor's loss. Not specified in the paper; 10 in
     the code of Yang et al."""
     variance_target: Literal["squared", "unsquared"] = "squared"
     """Last term of the variance's target: squared, as for a variance; or unsquared, with no mask at

@@ -47,13 +47,13 @@ class MultiplierConfig(PIDConfig):
 
     initial_multiplier: Annotated[float, In(-1e6, 1e6)] = 0.0
     """Initial parameter of the multiplier, before it is mapped to positive numbers. Paper: 0 for
-    SAC-Lag; not printed for WCSAC."""
+    SAC-Lag; not specified for WCSAC."""
     multiplier_lr: Annotated[float, Gain] = 3e-4
-    """Step size of the multiplier's parameter by adam or sgd. Paper: 3e-4 for SAC-Lag; not printed
-    for WCSAC."""
+    """Step size of the multiplier's parameter by adam or sgd. Paper: 3e-4 for SAC-Lag; not
+    specified for WCSAC."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: its parameter ascends by Adam or by the plain gradient
-    (sgd), or a PID controller sets it once an epoch (pid; Stooke et al. 2020). Not printed in the
+    (sgd), or a PID controller sets it once an epoch (pid; Stooke et al. 2020). Not specified in the
     paper."""
 
 

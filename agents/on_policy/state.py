@@ -130,7 +130,7 @@ class OnPolicyConfig(InputConfig):
     hidden: Annotated[tuple[int, ...], In(1, 65_536)] = (64, 64)
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
-    """Function between the layers. Not printed in the paper; tanh."""
+    """Function between the layers. Not specified in the paper; tanh."""
     input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
     """Factor on observations before the networks, or one for each number of an observation. Small
     tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
@@ -140,10 +140,10 @@ class OnPolicyConfig(InputConfig):
     deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
     paper; in OmniSafe by default."""
     initial_log_std: Annotated[float, In(-20, 20)] = 0.0
-    """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
+    """Initial logarithm of the policy's standard deviation. Not specified in the paper; 0 as in
     Stable-Baselines3."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Whether to bootstrap at the time limit. Not printed in the paper."""
+    """Whether to bootstrap at the time limit. Not specified in the paper."""
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ class SACConfig(InputConfig):
     hidden: Annotated[tuple[int, ...], In(1, 65_536)] = (64, 64)
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
-    """Function between the layers. Not printed in the paper; tanh."""
+    """Function between the layers. Not specified in the paper; tanh."""
     input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
     """Factor on observations before the networks, or one for each number of an observation. Small
     tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
@@ -85,11 +85,11 @@ class SACConfig(InputConfig):
     deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
     paper; in OmniSafe by default."""
     target_rate: Annotated[float, In(0, 1)] = 0.005
-    """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
-    al."""
+    """Share τ by which the target critics follow. Not specified in the paper; 0.005 as in
+    Haarnoja et al."""
     time_limit: TimeLimit = "bootstrap"
     """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
-    terminal_cost (reward only). Not printed in the paper; the presets of Circle2D have
+    terminal_cost (reward only). Not specified in the paper; the presets of Circle2D have
     terminal."""
     reward_scale: Literal["none", "running"] = "none"
     """Scale of the learned reward: none, or running: over the standard deviation of the discounted
@@ -132,7 +132,7 @@ class ConstrainedSACConfig(SACConfig):
     limit_of: Literal["discounted", "episode"] = "discounted"
     """Whether the limit is Q_c's (discounted), or that of an episode's cost (episode): Q_c is then
     limited by `d (1 - γ^T) / ((1 - γ) T)`, T steps being the task's time limit, as in Ray's and
-    Yang's code. Not printed in the paper; discounted."""
+    Yang's code. Not specified in the paper; discounted."""
     streak_weight: Annotated[float, In(0, 1e6)] = 0.0
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
@@ -153,7 +153,7 @@ class MultiplierOfConfig(MultiplierConfig, ConstrainedSACConfig):
     """What the multiplier follows: the risk at the states of the replay, most of which lie behind
     the start of an episode (replay; as in the algorithms' papers), the risk at start states of the
     last 64 episodes (start), or the undiscounted cost of the last 10 episodes, whose limit
-    `cost_limit` then is (episode; as in OmniSafe and FSRL). Not printed in the paper; replay."""
+    `cost_limit` then is (episode; as in OmniSafe and FSRL). Not specified in the paper; replay."""
 
     @property
     def limited_cost(self) -> str:

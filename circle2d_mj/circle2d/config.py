@@ -65,7 +65,7 @@ class Circle2DConfig:
     """Whether reward is given only inside the corridor and the cut-outs."""
     cutout_depth: float = 0.5
     """Depth of the top and bottom cut-outs (levels 2 and 3) as a multiple of R, in (0, 0.8]; the
-    diagonal ones (level 3) are 0.6 times as deep. The paper prints neither."""
+    diagonal ones (level 3) are 0.6 times as deep. Neither is specified in the paper."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.level, Integral) or isinstance(self.level, bool):
