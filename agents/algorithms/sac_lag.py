@@ -18,7 +18,7 @@ from agents.lockstep.lagrange import SOFTPLUS, Multiplier
 from agents.lockstep.pulled import Pull, closed_form
 from agents.sac import CostRule, MultiplierOfConfig, OffPolicy, SACConfig
 from agents.sac.replay import Batch
-from agents.sac.update import mean, share_of_first
+from agents.sac.update import mean, shares
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,8 @@ def risk(config: SACConfig, cost_values: Tensor) -> Tensor:
 
 @closed_form(risk)
 def _risk(config: SACConfig, cost_values: Float) -> tuple[Float, Pull]:
-    share = share_of_first(cost_values, -1.0)
-    pull = lambda slope: np.stack([slope * share, slope * (1.0 - share)], axis=1)  # noqa: E731
-    return np.maximum(cost_values[:, 0], cost_values[:, 1]), pull
+    share = shares(cost_values, -1.0)
+    return np.maximum(cost_values[:, 0], cost_values[:, 1]), lambda slope: slope[:, None] * share
 
 
 def critic_loss(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,16 +92,19 @@ class Squared(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Adam's state of R runs as arrays."""
+    """Adam's state of parameters [R, ...], of their kind: arrays, or a learner's tensors."""
 
-    mean: Float
-    """[R, P]"""
-    square: Float
-    """[R, P]"""
-    decay1: Float
-    """β₁ᵗ [R]. Kept as a product, since a power differs in its last bit between lanes."""
-    decay2: Float
-    """β₂ᵗ [R]"""
+    mean: Any
+    square: Any
+    decay1: Any
+    """β₁ᵗ [R, 1, ...]. Kept as a product, since a power differs in its last bit between lanes."""
+    decay2: Any
+    """β₂ᵗ [R, 1, ...]"""
+
+    @property
+    def arrays(self) -> Moments:
+        """Views of all, [R, P]."""
+        return Moments(*(np.asarray(part).reshape(len(part), -1) for part in self))
 
 
 class Descent(NamedTuple):

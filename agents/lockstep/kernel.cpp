@@ -426,8 +426,8 @@ void forward(int layers, const int64_t *n, int kind, int64_t nets, const float *
     }
 }
 
-// Products of dy [nets][rows][out] with the Jacobian: in the parameters gp [nets][gstride], numbers
-// behind a network's own stay; in the inputs gx [nets][rows][in]. Either may be null.
+// Products of dy [nets][rows][out] with the Jacobian: in the parameters gp [nets][gstride], 0 behind
+// a network's own; in the inputs gx [nets][rows][in]. Either may be null.
 void backward(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
               int64_t stride, int64_t rows, float *tape, const float *dy, float *gp,
               int64_t gstride, float *gx) {
@@ -437,7 +437,7 @@ void backward(int layers, const int64_t *n, int kind, int64_t nets, const float 
   tape = aligned(tape);
   for (int64_t k = 0; k < nets; k++) {
     float *g = gp ? gp + k * gstride : nullptr;
-    if (g) memset(g, 0, 4 * net.size);
+    if (g) memset(g, 0, 4 * gstride);
     for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
       const int64_t some = std::min(ROWS, rows - r);
       turn(dy + (k * rows + r) * out, out, nullptr, some, out, delta, ROWS, filled(some));

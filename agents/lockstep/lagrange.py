@@ -222,8 +222,10 @@ def _follow(multiplier: Multiplier, config: Any, state: State, cost: Float) -> S
         return control(config, state, cost, excess)
     if not form.law:
         after = ascend(form, config, state, excess)
-        highest = getattr(config, multiplier.highest) if multiplier.highest else math.inf
-        return after._replace(parameter=np.minimum(after.parameter, highest))
+        if multiplier.highest:
+            highest = getattr(config, multiplier.highest)
+            after = after._replace(parameter=np.minimum(after.parameter, highest))
+        return after
     own = form.law(config, tensor(state.parameter), tensor(cost)).numpy()
     parameter = np.empty_like(state.parameter)
     parameter[...] = np.maximum(own, form.lowest)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from agents.errors import UserError
-from agents.lockstep import descent, kernel, tree
+from agents.lockstep import kernel
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.descent import LANES
 from agents.lockstep.descent import MAY_DIVERGE as MAY_DIVERGE
+from agents.lockstep.descent import Moments as Moments
 from agents.lockstep.kernel import Activation
-
-Numbers = TypeVar("Numbers", Tensor, NDArray)
 
 
 def check_batch(batch_size: int) -> None:
@@ -130,24 +129,6 @@ def _silu(x: NDArray) -> NDArray:
 _IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}
 
 
-class Moments(NamedTuple):
-    """Adam's optimiser state of parameters [R, ...], of their kind: tensors or arrays."""
-
-    mean: Any
-    square: Any
-    decay1: Any
-    """β₁ᵗ [R, 1, ...]"""
-    decay2: Any
-    """β₂ᵗ [R, 1, ...]"""
-
-    @property
-    def arrays(self) -> descent.Moments:
-        """Views of all, run by run."""
-        runs, flat = len(self.mean), map(array, self)
-        mean, square, *decays = (part.reshape(runs, -1) for part in flat)
-        return descent.Moments(mean, square, *(decay[:, 0] for decay in decays))
-
-
 def no_moments(params: Tensor | NDArray) -> Moments:
     """The moments before the first step."""
     nothing = np.zeros_like(array(params))
@@ -157,21 +138,12 @@ def no_moments(params: Tensor | NDArray) -> Moments:
 
 
 def adam(
-    params: Numbers, gradient: NDArray, moments: Moments, learning_rate: float
-) -> tuple[Numbers, Moments]:
+    params: NDArray, gradient: NDArray, moments: Moments, learning_rate: float
+) -> tuple[NDArray, Moments]:
     """One step down the gradient; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
-    stepped, after = tree.copy((params, moments))
-    adam_in_place(stepped, gradient, after, learning_rate)
+    stepped, after = params.copy(), Moments(*(part.copy() for part in moments))
+    kernel.of(stepped).adam(stepped, gradient, after, learning_rate)
     return stepped, after
-
-
-def adam_in_place(
-    params: Tensor | NDArray, gradient: NDArray, moments: Moments, learning_rate: float
-) -> None:
-    """`adam` of parameters [R, P] or [R, K, P], which it changes."""
-    runs = len(gradient)
-    own = array(params).reshape(runs, -1)
-    kernel.of(own).adam(own, gradient.reshape(runs, -1), moments.arrays, learning_rate)
 
 
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {

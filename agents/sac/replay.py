@@ -49,7 +49,8 @@ class Replay:
         kept: int = 0,
     ) -> None:
         widths = [observation_size, action_size, 1, costs, observation_size, 1, 1]
-        self._ends = np.cumsum(widths[:-1])  # of the columns in a row
+        ends = np.cumsum(widths)
+        self._columns = [slice(end - own, end) for own, end in zip(widths, ends, strict=True)]
         self._kept = kept
         self._rows = np.zeros((runs, capacity, sum(widths)), dtype=np.float32)
         self.stored = np.zeros(runs, dtype=np.int64)
@@ -78,7 +79,9 @@ class Replay:
         runs, capacity, width = self._rows.shape
         of_run = capacity * np.arange(runs)[:, None]
         rows = self._rows.reshape(-1, width).take(of_run + index, axis=0)
-        observation, action, reward, cost, following, *ends = np.split(rows, self._ends, axis=-1)
+        observation, action, reward, cost, following, *ends = (
+            rows[..., own] for own in self._columns
+        )
         reward, *ends = (np.ascontiguousarray(column[..., 0]) for column in (reward, *ends))
         cost = np.ascontiguousarray(cost.transpose(0, 2, 1))
         return Batch(observation, action, reward, cost, following, *ends)

@@ -29,7 +29,6 @@ from agents.lockstep.nets import (
     MLP,
     Activation,
     Moments,
-    adam_in_place,
     check_batch,
     no_moments,
 )
@@ -341,14 +340,14 @@ def sampled(outputs: Float, noise: Float) -> Sampled:
     noise = noise.transpose(2, 0, 1)
     numbers = np.ascontiguousarray(outputs.transpose(2, 0, 1))
     mean, raw = numbers[: len(noise)], numbers[len(noise) :]
-    log_std = raw.clip(*LOG_STD)
+    log_std = np.minimum(np.maximum(raw, LOG_STD[0]), LOG_STD[1])  # `clip` takes twice as long
     spread = np.exp(log_std) * noise
     u = mean + spread
     # log(1 - tanh²u) without the cancellation at large u
     size = np.abs(u)
     log_slope = 2.0 * (LOG_2 - size - np.log1p(np.exp(-2.0 * size)))
-    log_prob = (-0.5 * (noise * noise + LOG_2_PI) - log_std - log_slope).sum(axis=0)
-    return Sampled(np.tanh(u), log_prob, spread, log_std == raw)
+    log_prob = -0.5 * (noise * noise + LOG_2_PI) - log_std - log_slope
+    return Sampled(np.tanh(u), np.add.reduce(log_prob), spread, log_std == raw)
 
 
 class Critics(NamedTuple):
@@ -361,9 +360,11 @@ class Critics(NamedTuple):
     """[R, 2 + 2·C, B]"""
 
 
-def critics_at(nets: Nets, critics: Float, observation: Float, action: Float) -> Critics:
-    """All critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions
-    [A, R, B]."""
+def critics_at(
+    nets: Nets, critics: Float, observation: Float, action: Float, taped: bool = False
+) -> Critics:
+    """All critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions [A, R, B];
+    taped: for `gradient_of`."""
     runs, count, size = critics.shape
     inputs = observation.shape[-1]
     seen = np.empty((*observation.shape[:2], inputs + len(action)), observation.dtype)
@@ -371,7 +372,8 @@ def critics_at(nets: Nets, critics: Float, observation: Float, action: Float) ->
     for column, of_one in enumerate(action, start=inputs):
         seen[..., column] = of_one
     params = critics.reshape(-1, size)
-    found, tape = kernel.of(params).forward(nets.critic, params, seen, count)
+    own, what = kernel.of(params), (nets.critic, params, seen, count)
+    found, tape = own.forward(*what) if taped else (own.values(*what), None)
     return Critics(seen, tape, found.reshape(runs, count, -1))
 
 
@@ -398,7 +400,7 @@ def of_costs(values: Float, rule: CostRule) -> list[Float]:
 def risks(config: Any, rule: CostRule, values: Float) -> tuple[Float, list[Pull]]:
     """The risk of each cost, [R, C, B], from the outputs of all critics."""
     found = [pulled(rule.risk, config, own) for own in of_costs(values, rule)]
-    return np.stack([risk for risk, _ in found], axis=1), [pull for _, pull in found]
+    return np.concatenate([risk[:, None] for risk, _ in found], axis=1), [p for _, p in found]
 
 
 def risk_at(
@@ -412,25 +414,21 @@ def risk_at(
 ) -> Float:
     """The mean risk of each cost where the policy acts anew at observations [R, B, critic inputs]:
     [R, C]; noise: [R, B, action size]; weight: [R, B], adds up to 1."""
-    new, *_ = drawn(nets, state, observation, noise)
+    new = drawn(nets, state, observation, noise)
     at = critics_at(nets, state.critics, observation, new.action)
     return (weight[:, None] * risks(config, rule, at.values)[0]).sum(axis=-1)
 
 
-def drawn(
-    nets: Nets, state: SACState, observation: Float, noise: Float
-) -> tuple[Sampled, Float, Any]:
-    """Actions of the policy at observations [R, B, at least its inputs], what it saw of them, and
-    the tape of its network."""
+def drawn(nets: Nets, state: SACState, observation: Float, noise: Float) -> Sampled:
+    """Actions of the policy at observations [R, B, at least its inputs]."""
     seen = np.ascontiguousarray(observation[..., : nets.actor.sizes[0]])
-    outputs, tape = kernel.of(state.actor).forward(nets.actor, state.actor, seen)
-    return sampled(outputs, noise), seen, tape
+    return sampled(kernel.of(state.actor).values(nets.actor, state.actor, seen), noise)
 
 
-def share_of_first(values: Float, sign: float) -> Float:
-    """How far the lower (sign 1) or higher (-1) of two values [R, 2, B] is the first: 0, 1, or, of
-    equal ones, ½: [R, B]."""
-    return 0.5 + (0.5 * sign) * np.sign(values[:, 1] - values[:, 0])
+def shares(values: Float, sign: float) -> Float:
+    """How far each of two values [R, 2, B] is the lower (sign 1) or the higher (-1): 0, 1, or, of
+    equal ones, ½."""
+    return 0.5 + (0.5 * sign) * np.sign(values[:, ::-1] - values)
 
 
 def critic_slope(
@@ -464,8 +462,7 @@ def actor_slope(
     risk, pulls = risks(config, rule, found)
     penalty, pull = pulled(rule.penalty, config, risk, multipliers)
     in_risk = pull(np.full(risk.shape, 1.0 / batch, risk.dtype))
-    share = share_of_first(found, 1.0)[:, None]
-    slopes = [share / -batch, (share - 1.0) / batch]
+    slopes = [shares(found[:, :2], 1.0) / -batch]
     slopes += [pull(in_risk[:, k]) for k, pull in enumerate(pulls)]
     loss = penalty.sum(axis=1) - np.minimum(found[:, 0], found[:, 1])
     return np.concatenate(slopes, axis=1), mean(loss), mean(risk)
@@ -487,13 +484,15 @@ def actor_gradient(
 ) -> tuple[Float, Float, Float, Float]:
     """The gradient of `E[α log π - min Q + penalty(risk)]` in the actors [R, actor size], over
     actions drawn anew with that noise [R, B, A]; means of the loss [R], risks [R, C], log π [R]."""
-    alpha = np.exp(state.log_temperature[:, :1])
-    new, seen, tape = drawn(nets, state, observation, noise)
-    at = critics_at(nets, state.critics, observation, new.action)
+    own, alpha = kernel.of(state.actor), np.exp(state.log_temperature[:, :1])
+    seen = np.ascontiguousarray(observation[..., : nets.actor.sizes[0]])
+    outputs, tape = own.forward(nets.actor, state.actor, seen)
+    new = sampled(outputs, noise)
+    at = critics_at(nets, state.critics, observation, new.action, taped=True)
     slope, loss, risk = actor_slope(config, rule, at.values, multipliers)
     in_action = gradient_of(nets, state.critics, at, slope, "x")
     in_outputs = new.slope(in_action, alpha / seen.shape[1])
-    own, log_prob = kernel.of(state.actor), mean(new.log_prob)
+    log_prob = mean(new.log_prob)
     gradient, _ = own.backward(nets.actor, state.actor, seen, tape, in_outputs, "p")
     assert gradient is not None
     return gradient, loss + alpha[:, 0] * log_prob, risk, log_prob
@@ -519,19 +518,20 @@ def update(
     place. Returns the state with them, and for the records, means over the batch: [R], multipliers
     [R, M], risks, those that are followed [R, C].
     """
-    rate, count = config.learning_rate, len(state.actor)
+    own, rate, count = kernel.of(state.actor), config.learning_rate, len(state.actor)
     temperature = np.exp(state.log_temperature)
     alpha = temperature[:, :1]
-    following, *_ = drawn(nets, state, batch.next_observation, noise.next_action)
+    following = drawn(nets, state, batch.next_observation, noise.next_action)
     later = critics_at(nets, state.targets, batch.next_observation, following.action).values
     value = np.minimum(later[:, 0], later[:, 1]) - alpha * following.log_prob
     target = batch.reward + config.discount * (1.0 - batch.terminal) * value
 
     taken = batch.action.transpose(2, 0, 1)
-    at = critics_at(nets, state.critics, batch.observation, taken)
+    at = critics_at(nets, state.critics, batch.observation, taken, taped=True)
     slope, metrics = critic_slope(config, rule, at.values, batch, target, later)
     gradient = gradient_of(nets, state.critics, at, slope, "p")
-    adam_in_place(state.critics, gradient, state.critic_moments, rate)
+    own.adam(state.critics, gradient, state.critic_moments, rate)
+    del at
 
     multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, count)
     if rule.augmented and rule.augments_replay and followed is None:
@@ -542,7 +542,7 @@ def update(
 
     what = (state, batch.observation, noise.new_action, in_penalty)
     gradient, loss, risk, log_prob = actor_gradient(nets, config, rule, *what)
-    adam_in_place(state.actor, gradient, state.actor_moments, rate)
+    own.adam(state.actor, gradient, state.actor_moments, rate)
 
     risk = risk if followed is None else followed
     metrics |= {
@@ -555,7 +555,7 @@ def update(
     # Descend `-α E[log π + target entropy]` along log α, with the target entropy -A.
     of_temperature = temperature * (len(taken) - log_prob[:, None])
     moments = state.temperature_moments
-    adam_in_place(state.log_temperature, of_temperature, moments, config.temperature_lr)
+    own.adam(state.log_temperature, of_temperature, moments, config.temperature_lr)
     change = state.critics - state.targets
     change *= config.target_rate
     np.add(state.targets, change, out=state.targets)

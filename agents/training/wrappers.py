@@ -9,6 +9,7 @@ import signal
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import gymnasium as gym
@@ -446,8 +447,8 @@ class SideBySide(VectorEnv):
         """seen: the parts as policies see them, by default as they are."""
         self.parts, self._costs = parts, costs
         self._seen = parts if seen is None else seen
-        self._ends = np.cumsum([part.num_envs for part in parts])
-        self.num_envs = int(self._ends[-1])
+        ends = np.cumsum([0, *(part.num_envs for part in parts)]).tolist()
+        self._own, self.num_envs = [slice(*pair) for pair in pairwise(ends)], ends[-1]
         self.single_observation_space = self._seen[0].single_observation_space
         self.single_action_space = self._seen[0].single_action_space
 
@@ -503,4 +504,4 @@ class SideBySide(VectorEnv):
             part.close(**kwargs)
 
     def _split(self, values: Any) -> list[NDArray]:
-        return np.split(np.asarray(values), self._ends[:-1])
+        return [np.asarray(values)[own] for own in self._own]
