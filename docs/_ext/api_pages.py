@@ -132,7 +132,7 @@ def _paragraph(block: str, names: typing.Collection[str]) -> str:
     """A paragraph whose lines that begin with parameters are a list."""
     lines, listed, before = [], False, ""
     for line in block.splitlines():
-        found = re.match(r"((?:\w+(?:, | and )?)+): ", line)
+        found = re.match(r"(\w+(?:(?:, | and )\w+)*): ", line)
         words = re.split(r", | and ", found[1]) if found else []
         choice = re.match(r"\s+(\S+)\s{2,}(\S.*)", line)
         if found and all(word in names for word in words):
