@@ -17,7 +17,7 @@ from agents.lockstep.normalizer import CLIP, Normalized
 from agents.paper.evidence import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.training.config import CONFIG, TrainConfig, file_name, read_spaces
 from agents.training.files import check_folder, read_json, write_whole
 from agents.training.policy import Policy, load_policy
@@ -238,7 +238,7 @@ def _results(folder: Path) -> str:
     """The table of the folder's runs, or why there is none."""
     notes: list[str] = []
     try:
-        groups = read([folder], notes)
+        groups = read_groups([folder], notes)
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]

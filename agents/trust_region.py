@@ -146,7 +146,7 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
-    """See `kernel.conjugate_gradient`."""
+    """Solve `product(x) = b` for x: `kernel.conjugate_gradient` on tensors."""
 
     def in_numpy(v: NDArray) -> NDArray:
         return product(torch.from_numpy(v)).numpy()

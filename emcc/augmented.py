@@ -19,7 +19,7 @@ Bounds = tuple[tuple[float, float], ...]
 
 
 class Augmentation(ABC):
-    """What follows from the costs of an episode so far, of N environments at a time."""
+    """A state that follows from an episode's costs so far, of N environments at a time."""
 
     cost: str = "cost"
     """Key of info that is followed."""

@@ -34,7 +34,7 @@ _HEADERS = {
 
 
 def words_of(error: BaseException) -> str:
-    """What is wrong with a file's content, by one of these errors."""
+    """Words for what is wrong with a file's content, by one of these errors."""
     if isinstance(error, UnicodeDecodeError):
         return f"no text at byte {error.start}"
     return str(error) or type(error).__name__

@@ -162,7 +162,7 @@ def panel(
 def _grouped(
     records: EpisodeRecords, episodes: EpisodeRecords, window: int | None, window_steps: int | None
 ) -> EpisodeRecords:
-    """What MCC is a maximum over: the rollouts, or windows of whole episodes."""
+    """The rollouts, or windows of whole episodes, that MCC is a maximum over."""
     if window is None and window_steps is None:
         return records
     episodes._mcc(window, window_steps)  # the error where there is no window

@@ -24,7 +24,7 @@ from agents.paper.grid import PAPER_ALGORITHMS
 from agents.paper.sections import _with_all_ties, claims_sections
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.results.frame import changes, with_distinct_titles
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.results.statistics import comparisons, over_windows
 
 ROOT = Path(__file__).parents[1]
@@ -56,7 +56,7 @@ def page(name):
 @pytest.mark.parametrize("folder", SOURCES)
 def test_the_published_archives_give_the_published_numbers(folder, library):
     published = RESULTS / folder
-    groups = with_distinct_titles(read([published / name for name in SOURCES[folder]], []))
+    groups = with_distinct_titles(read_groups([published / name for name in SOURCES[folder]], []))
     found = io.StringIO(numbers_csv(report_lines(groups, evidence.printed)))
     with (published / "report.csv").open() as expected:
         for row, known in zip(csv.DictReader(found), csv.DictReader(expected), strict=True):
@@ -217,7 +217,7 @@ def test_ten_episodes_instead_of_a_hundred():
     archives = [RESULTS / "safety" / name for name in SOURCES["safety"] if name != "limit.zip"]
     evaluated = [
         run.evaluation["deterministic"]["cost_returns"]
-        for group in read(archives, [])
+        for group in read_groups(archives, [])
         for run in group.runs
     ]
     ten, hundred = (np.array([np.mean(costs[:n]) for costs in evaluated]) for n in (10, 100))
@@ -331,7 +331,7 @@ def test_the_page_on_safety_hopper():
         for own in (trpo, cpo)
     ]
     archives = ("hopper.zip", "hopper-others.zip", "hopper-more.zip")
-    groups = read([RESULTS / "safety" / name for name in archives], [])
+    groups = read_groups([RESULTS / "safety" / name for name in archives], [])
     by_name = {group.config.algorithm: group.runs for group in groups}
     both = [by_name[name] for name in ("trpo-lag", "sac-lb")]
     assert [len(side) for side in both] == [5, 5]
@@ -545,7 +545,7 @@ def test_the_page_of_the_benchmark_on_half_cheetah():
     trust = {"trpo-lag", "cpo", "pcpo", "crpo", "rcpo", "c-trpo"}
     late = [
         rate
-        for group in read([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], [])
+        for group in read_groups([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], [])
         if group.config.algorithm in trust
         for rate in group.values("rate_0.99")
     ]
@@ -681,7 +681,7 @@ def test_nested_parts():
 def test_ties_and_windows():
     """The pairs of equal cost rates that EMCC tells apart; no verdict hangs on ties; windows of ten
     and single episodes in place of rollouts."""
-    own = read([RESULTS / "circle2d" / name for name in SOURCES["circle2d"]], [])
+    own = read_groups([RESULTS / "circle2d" / name for name in SOURCES["circle2d"]], [])
     kept = [replace(of, runs=[_with_all_ties(run) for run in of.runs]) for of in own]
     verdicts = [
         [statement.verdict for section in claims_sections(way) for statement in section.statements]

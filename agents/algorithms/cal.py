@@ -29,7 +29,7 @@ class CALConfig(MultiplierOfConfig):
     """Hyper-parameters of CAL. The multiplier is λ = exp(parameter)."""
 
     multiplier_of: Literal["replay", "start"] = "replay"
-    """What the multiplier follows and the quadratic penalty is of: the upper bound of the cost at
+    """Cost that the multiplier and the quadratic penalty follow: the upper bound of the cost at
     the states of the replay (replay; as Wu et al.), or at start states of the last 64 episodes
     (start). The cost of episodes has no such bound."""
     initial_multiplier: Annotated[float, In(-50, 50)] = math.log(0.6931)

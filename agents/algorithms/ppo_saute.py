@@ -34,11 +34,11 @@ class Budget(Augmentation):
 
     @property
     def bounds(self) -> Bounds:
-        """Of z."""
+        """Bounds of z."""
         return ((-np.inf, np.inf),)
 
     def after(self, state: Numbers, cost: Numbers) -> tuple[Numbers, dict[str, Numbers]]:
-        """What is left after costs."""
+        """The share of the budget that is left after costs."""
         spent = np.where(np.isfinite(cost), cost, 0.0) / self.budget
         return (state - spent[:, None]) / self.discount, {}
 

@@ -96,7 +96,7 @@ def critic_loss(
 def targets(
     discount: Tensor, mean: Tensor, next_cost_values: Tensor, cost: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Of the mean, `c + γ Q_c'`, and of the variance,
+    """Targets of the cost critic's mean, `c + γ Q_c'`, and of its variance,
     `c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'²`, clamped. Everything is [R, B] but
     next_cost_values, [R, 2, B].
     """

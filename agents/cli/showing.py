@@ -87,7 +87,7 @@ class PlotOptions(Settings):
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives."""
     measure: tuple[Literal["return", "cost", "emcc", "length"], ...] = ("return", "cost", "emcc")
-    """What is drawn, of the episodes of training."""
+    """Measures of training's episodes to draw."""
     out: Path = Path("figure.pdf")
     """File to write, its suffix the format: .pdf, .svg, .png, or .pgf for LaTeX."""
     names: dict[str, str] = field(default_factory=dict)

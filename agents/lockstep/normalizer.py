@@ -58,7 +58,7 @@ class RunningMoments:
 
 
 class Inputs(NamedTuple):
-    """What the networks of R runs see of observations: `scale · x`, or with a mean
+    """The inputs that the networks of R runs get for observations: `scale · x`, or with a mean
     `clip(scale · (x - mean), -10, 10)`."""
 
     scale: NDArray[np.float32]
@@ -67,8 +67,8 @@ class Inputs(NamedTuple):
     """[R, observation size]"""
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Of observations [R, N, at least observation size]; numbers behind them, which critics
-        see, stay as they are where there is a mean."""
+        """Inputs for observations [R, N, at least observation size]; where there is a mean, numbers
+        behind the observation, which critics see, stay as they are."""
         if self.mean is None:
             return self.scale * observation
         size = self.mean.shape[-1]
@@ -99,7 +99,7 @@ class Normalized(nn.Module):
         self.register_buffer("scale", torch.from_numpy(scale.copy()))
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Of observations [..., size]: the same shape."""
+        """Inputs for observations [..., size], of the same shape."""
         return ((observation - self.mean) * self.scale).clamp(-CLIP, CLIP)
 
 
@@ -131,7 +131,7 @@ class Normalizer(RunningMoments):
 
     @property
     def inputs(self) -> Inputs:
-        """What networks see by the moments of now."""
+        """The networks' inputs by the present moments."""
         scale = np.where(self.empty, 1.0, 1.0 / np.sqrt(self.variance + 1e-8))
         return Inputs(scale.astype(np.float32), self.mean.astype(np.float32))
 
@@ -153,7 +153,7 @@ class InputConfig(Settings):
             )
 
     def inputs(self, normalizer: Normalizer | None) -> Inputs:
-        """What networks see; normalizer: of the runs, where there is one."""
+        """The networks' inputs; normalizer: of the runs, if they have one."""
         return normalizer.inputs if normalizer else Inputs(np.asarray(self.input_scale, np.float32))
 
     def normalizer(self, runs: int, observation_size: int) -> Normalizer | None:

@@ -111,7 +111,7 @@ ENDS = (
     "the task needs a time limit, such as --task-parameters max_episode_steps 1000, or in Python "
     'task_parameters={"max_episode_steps": 1000}'
 )
-"""What to do about an episode that never ends."""
+"""Way out for an episode that never ends."""
 
 
 def collect(

@@ -106,7 +106,7 @@ class Cell(NamedTuple):
     algorithm: str
     runs: tuple[RunResult, ...]
     lacking: str
-    """Why they decide nothing: fewer than `SEEDS`, or of other length; empty where they decide."""
+    """Why they are inconclusive (too few seeds, wrong length); empty if they count."""
     full: bool = False
     """Whether they have the paper's length."""
     choice: str = ""

@@ -83,12 +83,14 @@ class Paper(Study):
     """All that the paper adds to a report."""
 
     def printed(self, group: Group) -> Printed | None:
-        """See `evidence.printed`."""
+        """The paper's numbers for a group: see `evidence.printed`."""
         return printed(group)
 
     def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
         """Other choices of what the paper does not print, beside the preset, have their tables."""
         usual, pairs = split(groups)
+        if not pairs:
+            return usual, {}
         choices = _by_preset(pairs)
         of_paper, of_parts = (
             [own for own in choices if (own[0].config.algorithm in PAPER_ALGORITHMS) == is_paper]
@@ -123,7 +125,7 @@ class Paper(Study):
         return {OTHER_TIES: ties_table(groups)}
 
     def claims(self, groups: Sequence[Group]) -> list[Section]:
-        """See `claims_sections`."""
+        """The paper's claims with their verdicts: see `claims_sections`."""
         return claims_sections(groups)
 
 

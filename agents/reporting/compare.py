@@ -32,7 +32,7 @@ from agents.results.frame import (
     with_varied_settings,
 )
 from agents.results.measures import measures
-from agents.results.reading import Group, name_of_all, read
+from agents.results.reading import Group, name_of_all, read_groups
 from agents.results.statistics import (
     ACROSS_WORDS,
     LEVEL,
@@ -96,7 +96,7 @@ def compare(
     if out is not None:
         check_folder(out)
     notes = [f"A is {a}, B is {b}."]
-    of_a, of_b = (read([side], notes) for side in (a, b))
+    of_a, of_b = (read_groups([side], notes) for side in (a, b))
     if mixed([*of_a, *of_b]):
         notes.append(ACROSS_WORDS)
     both = alike(with_varied_settings([*of_a, *of_b]))

@@ -54,8 +54,8 @@ def heatmap(
 ) -> Picture:
     """Heat maps of parts of training: [height, width, 3].
 
-    folders: each of runs of one algorithm, of which those of the seeds (by default all that have
-    not failed) are taken together. The parts of a single folder stand side by side; several folders
+    folders: each of runs of one algorithm; the runs of the seeds, by default all that have not
+    failed, are taken together. The parts of a single folder stand side by side; several folders
     are the columns, the parts the rows, with one scale for all. parts and alpha: see
     `derive.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
     default the algorithm, its settings and the task, and the seeds where they are not all. task:

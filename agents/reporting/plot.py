@@ -21,7 +21,7 @@ from agents.reporting.figures import (
     styles,
 )
 from agents.results.frame import by_task, name_of, with_names
-from agents.results.reading import Group, LeftOut, read
+from agents.results.reading import Group, LeftOut, read_groups
 from agents.results.statistics import INTERVALS, common_limit
 from agents.training.files import check_file, write_whole
 from emcc.parts import ALPHA
@@ -78,7 +78,7 @@ def plot(
     if not measures:
         raise UserError(f"plot needs a measure: {', '.join(MEASURES)}")
     notes: list[str] = []
-    tasks = by_task(with_names(read(paths, notes)))
+    tasks = by_task(with_names(read_groups(paths, notes)))
     left_out = [note for note in notes if isinstance(note, LeftOut)]
     if not tasks:
         raise UserError("; ".join(["no run is complete", *left_out]))

@@ -24,7 +24,7 @@ from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.archive import write_archive
 from agents.results.frame import with_names
-from agents.results.reading import Group, LeftOut, left_out, name_of_all, read
+from agents.results.reading import Group, LeftOut, left_out, name_of_all, read_groups
 from agents.results.statistics import alike
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 
@@ -61,7 +61,7 @@ def report(
         _check_archive(archive)
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
-    everything = with_names(read(paths, notes, name, window))
+    everything = with_names(read_groups(paths, notes, name, window))
     study = study or Study()
     claims = study.claims(everything)
     usual, apart = study.set_apart(everything)
@@ -114,7 +114,7 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
     `report`.
     """
     notes: list[str] = []
-    everything = with_names(read([folder], notes))
+    everything = with_names(read_groups([folder], notes))
     study = study or Study()
     usual, apart = study.set_apart(everything)
     tables = _task_tables(_by_task(usual), study, notes) | apart

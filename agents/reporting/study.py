@@ -1,4 +1,4 @@
-"""What a study adds to the report of runs."""
+"""Additions of a study to the report of runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from agents.results.reading import Group
 
 
 class Study:
-    """A study that adds nothing: a subclass says what its own adds, such as a paper's numbers."""
+    """A study that adds nothing; a subclass adds its own, such as a paper's numbers."""
 
     def printed(self, group: Group) -> Printed | None:
         """The numbers that it prints for a group's algorithm and task."""

@@ -269,10 +269,11 @@ Candidate = tuple[Mapping[str, float | None], bool | None]
 def best(candidates: Mapping[Key, Candidate]) -> set[tuple[Key, str]]:
     """The best measures of some candidates.
 
-    Of each measure of training the lowest, or the highest where that is better; of those of the
-    trained policy all that belong to the candidates of the highest J_R among those within their
-    limit. All to the digits that are printed, so that equal ones are marked together; nothing where
-    there is nothing to compare with. Source: caption of table Circle2DResults.
+    For a measure of training the best is the lowest, or the highest where that is better. The
+    trained policy's measures are best, whatever their values, of the candidates that have the
+    highest J_R among those within their limit. Values are compared to the digits that are printed,
+    so that equal ones are marked together; a single value is not marked. Source: caption of table
+    Circle2DResults.
     """
     marked: set[tuple[Key, str]] = set()
     returns = _rounded({k: c for k, c in candidates.items() if c[1]}, measure("J_R"))

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
 from agents.presets import preset, usual_steps
-from agents.results import reading
 from agents.results.measures import measures
-from agents.results.reading import Group, Part, run_records
+from agents.results.reading import Group, Part, read_groups, run_records
 from agents.training import evaluation
 from agents.training.config import POLICIES, RunId, TrainConfig
 from agents.training.files import Arrays, numbered
@@ -55,9 +54,9 @@ def read(
 ) -> pandas.DataFrame:
     """The frame of all runs at or below some folders and in archives, complete or not.
 
-    window, and what is raised: see `reading.read`. printed: whose numbers have rows too.
+    window, and what is raised: see `reading.read_groups`. printed: whose numbers have rows too.
     """
-    return frame(reading.read(paths, [], None, window), printed)
+    return frame(read_groups(paths, [], None, window), printed)
 
 
 def frame(groups: Sequence[Group], printed: Reference | None = None) -> pandas.DataFrame:

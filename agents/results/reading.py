@@ -72,7 +72,7 @@ class RunResult:
     """For each policy the means J_R, J_C and CVaR_0.5, and arrays "returns", "cost_returns" and
     "lengths" of its episodes."""
     ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    """Of the episodes that end in a place, those that came by each way; empty where none tells."""
+    """Evaluated episodes by place and way to it; empty for a task without named ways."""
     window: int | None = None
     """Episodes of the windows over which EMCC is taken; None for rollouts."""
 
@@ -194,7 +194,7 @@ class Part:
         return self.get(name, len(PARTS), cells, cells).astype(np.int64)
 
     def trained(self, run: RunId) -> list[Drawn] | None:
-        """See `Group.trained`."""
+        """Episodes of a run's trained policy: see `Group.trained`."""
         prefix = f"{run.prefix}trained/"
         if self.has(prefix + "unsafe"):
             states = self.get(prefix + "states", -1)
@@ -211,7 +211,7 @@ class Part:
         return [*map(derive.drawn, paths, np.split(costs, ends))]
 
     def replay(self, run: RunId, records: EpisodeRecords) -> Highlights | None:
-        """See `Group.replay`. records: with the training's first cost."""
+        """A run's highlights: see `Group.replay`. records: with the training's first cost."""
         prefix = f"{run.prefix}replay/"
         if not (self.has(prefix + "drawn") or self.has(prefix + "points")):
             return None
@@ -376,7 +376,7 @@ def left_out(what: str, groups: Sequence[Group], error: UserError) -> LeftOut:
     return LeftOut(f"left out: {what} of {titles}: {words}")
 
 
-def read(
+def read_groups(
     paths: Sequence[Path],
     notes: list[str],
     name: str | None = None,
@@ -673,7 +673,7 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
 
 
 def _settings(group: Group) -> tuple[Any, ...]:
-    """All that groups have in common which differ in their seeds alone; 5 equals 5.0."""
+    """Key under which groups are pooled: everything but the seeds; 5 equals 5.0."""
     config = group.config
     training = (config.algorithm, config.steps, config.costs, config.task_parameters)
     return group.task, group.cost, *training, asdict(config.hyperparameters)

@@ -104,7 +104,7 @@ def places(group: Group) -> dict[str, Share]:
 
 
 def common_limit(groups: Collection[Group]) -> float | None:
-    """The cost limit of some groups; None where those that have one differ, or their costs do."""
+    """The one cost limit that groups share; None if they limit other costs, or at other values."""
     limits, costs = {group.limit for group in groups} - {None}, {group.cost for group in groups}
     return limits.pop() if len(limits) == len(costs) == 1 else None
 

@@ -165,7 +165,7 @@ class OffPolicy:
         return np.where(learning[:, None], means, np.nan)
 
     def _followed(self, noise: sac.UpdateNoise) -> Float | None:
-        """What multipliers follow instead of a batch's risk: see `multiplier_of`; [R, C]."""
+        """Costs that multipliers follow instead of a batch's risk, [R, C]: see `multiplier_of`."""
         if self._recent is None:
             return None
         if self._multiplier_of == "episode":

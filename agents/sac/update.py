@@ -351,7 +351,7 @@ def sampled(outputs: Float, noise: Float) -> Sampled:
 
 
 class Critics(NamedTuple):
-    """What all critics say of some rows, and what their gradients need."""
+    """Values that all critics give to some rows, and what their gradients need."""
 
     seen: Float
     """[R, B, critic inputs + A]"""

@@ -325,7 +325,7 @@ def shown_states(steps: int) -> NDArray[np.int64]:
 
 
 def drawn(positions: NDArray[np.float32], costs: NDArray[np.float64]) -> Drawn:
-    """What a page draws of an episode.
+    """The points of an episode that a page draws.
 
     positions: [T + 1, 2], the start first, or [T, 2]; costs: [T], each of the state its step ends
     in.

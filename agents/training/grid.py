@@ -94,7 +94,7 @@ def work(config: TrainConfig) -> float:
 LOCKSTEP = 2
 """The runs of a training take as long as so many more of them: what runs in lockstep share."""
 NEGLIGIBLE = 0.95
-"""What the time must fall to for parts that are smaller."""
+"""Share of the time to which smaller parts must bring it to be worth making."""
 
 
 def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, TrainConfig]:

@@ -290,7 +290,7 @@ class Trainer:
         """Write what is new, then the checkpoint; of the older ones the newest stays."""
         began = time.monotonic()
         # A run whose first action fails has taken no step since the last.
-        # The number is that of the run that is behind; at the end, of the first.
+        # File number: steps of the slowest running run; at the end, the most steps of any.
         steps = self.steps.max() if self.done else self.steps[self.active].min()
         number = max(int(steps), 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
         texts = (self.failures.astype(np.str_), self.tracebacks.astype(np.str_))

@@ -22,7 +22,7 @@ _OF_FAMILY = {
     "Button": {"buttons": 4, "goal": 1},
     "Push": {"goal": 1, "push_box": 1},
 }
-"""What each brings by itself"""
+"""Objects that each family brings by itself."""
 OBJECTS = ("hazards", "vases", "pillars", "gremlins")
 COSTS = {
     "hazards": "hazards",

@@ -95,7 +95,7 @@ class Resting:
 
 
 class Circling(Resting):
-    """The gremlins, of which those that nothing touches are moved along their path.
+    """The gremlins; one that nothing touches is moved along its path.
 
     A gremlin is welded to a target on a circle, which moves before each substep. Where it is after
     a number of steps, relative to its place, is the same for all, whatever their turns: `Path`.

@@ -19,7 +19,7 @@ HOW = (
     "and places, as in make(id, hazards=3, layout_seed=7); another scene is a task of your own, "
     "see circle2d_mj.safety.own"
 )
-"""What to do where something cannot be written"""
+"""Way out where something cannot be written."""
 
 
 class Part:

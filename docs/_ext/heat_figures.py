@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agents.reporting.maps import Column, heat_figure
 from agents.reporting.pictures import write_picture
-from agents.results.reading import Group, read
+from agents.results.reading import Group, read_groups
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 
@@ -58,7 +58,7 @@ def physics(kinematic: Path, with_physics: Path, level: int, third: int, picture
 
 def by_folder(archive: Path) -> dict[str, Group]:
     """The groups of an archive."""
-    return {group.folder: group for group in read([archive], [])}
+    return {group.folder: group for group in read_groups([archive], [])}
 
 
 if __name__ == "__main__":

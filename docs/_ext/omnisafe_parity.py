@@ -23,7 +23,7 @@ from results_table import EMCC, p_value, short, with_range
 
 from agents.paper.evidence import equal
 from agents.reporting.figures import COLOURS, drawing
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.results.statistics import equivalence_of, p_of
 from emcc import EpisodeRecords
 
@@ -54,7 +54,7 @@ def take_in(folder: Path) -> None:
         own.save(RECORDS / "omnisafe" / f"{path.parent.name}.csv")
     sys.path.append(str(RESULTS.parent / "benchmarks"))
     importlib.import_module("omnisafe_cpo")  # which registers it
-    for group in read([folder / "ours"], []):
+    for group in read_groups([folder / "ours"], []):
         for run in group.runs:
             run.records.save(RECORDS / "ours" / f"{group.config.algorithm}-{run.seed}.csv")
 

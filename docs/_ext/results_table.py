@@ -16,8 +16,7 @@ import scipy.stats
 
 import emcc
 from agents import algorithms
-from agents.results.reading import read
-from emcc.parts import ALPHA
+from agents.results.reading import read_groups
 
 RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
@@ -251,7 +250,7 @@ def forces() -> list[str]:
     force; the force's median and 99th percentile there, and its maximum, N; and EMCC by third of
     the steps with more than each of `FORCES`."""
     rows = {}
-    for group in read([RESULTS / "physics" / "level-0.zip"], []):
+    for group in read_groups([RESULTS / "physics" / "level-0.zip"], []):
         runs = [group.recorded_of(run, "contact_force") for run in group.runs]
         felt = np.concatenate([force.above_0() for force in runs])
         steps, most = sum(run.steps.sum() for run in runs), max(run.most.max() for run in runs)
@@ -310,13 +309,14 @@ def late_costs(task: str) -> pd.DataFrame:
     cost rate; "costing", the share of episodes that cost; "longest", of all costs the share in
     their episode's longest streak; and "split", EMCC with ties split."""
     rows = []
-    for group in read([RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []):
+    for group in read_groups(
+        [RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []
+    ):
         for run in group.runs:
             late = run.records.by_part(run.total_steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
-            rate, costing = emcc.cost_rate(late.cost, late.length), (late.cost > 0).mean()
-            split = emcc.emcc(late.mcc_per_rollout()[0], ALPHA)
-            shares = {"rate": rate, "costing": costing, "longest": longest, "split": split}
+            shares = {"costing": (late.cost > 0).mean(), "longest": longest}
+            shares |= {"rate": run.measures["rate_0.99"], "split": run.measures["EMCC_0.99"]}
             rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
     return pd.DataFrame(rows).groupby("algorithm").mean()
 

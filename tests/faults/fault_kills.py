@@ -16,7 +16,7 @@ from small_runs import processes, results
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.training.files import numbered
 
 SMALL = ["--steps", "150", "--seeds", "0", "1", "--checkpoint-every"]
@@ -167,7 +167,7 @@ class Scene:
 def measures(folder):
     """Measures of the runs that a report takes for complete, by seed."""
     try:
-        groups = read([folder], [])
+        groups = read_groups([folder], [])
     except UserError:
         return {}
     return {run.seed: run.measures for group in groups for run in group.runs}

@@ -21,7 +21,7 @@ from agents.reporting.overall import TASKS as TOGETHER
 from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
 from agents.results.archive import write_archive
 from agents.results.measures import RunData, measured
-from agents.results.reading import Group, RunResult, read
+from agents.results.reading import Group, RunResult, read_groups
 from agents.results.statistics import ACROSS_WORDS, comparisons
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -272,7 +272,7 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
     more = {"seeds": (0, 1), "steps": 1100, "backend": "numpy"}
     for name in ("cpo", "trpo-lag"):
         agents.train(name, tasks, out=tmp_path / "published" / name, **more)
-    published = read([tmp_path / "published"], [])
+    published = read_groups([tmp_path / "published"], [])
     write_archive(tmp_path / "published.zip", published)
     assert overall.RANKS not in overall.tables_over_tasks(published)  # of two algorithms
     command = ["reproduce", "--benchmark", "--tasks", *tasks, "--quick", "--seeds", "0", "1"]

@@ -25,7 +25,7 @@ from agents.reporting.study import Study
 from agents.reporting.table import Number, Row, Table, markdown
 from agents.reporting.tables import best
 from agents.results.frame import Printed
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.training import config
 from agents.training.config import TrainConfig
 
@@ -214,7 +214,7 @@ def test_what_is_told(tmp_path):
     for name in ("cpo", "wcsac"):
         write_evaluated(tmp_path / name, name, costs=(1, 2))
         write_status(tmp_path / name, 1.0, **{name: 300.4})
-    told = made(read([tmp_path], []))
+    told = made(read_groups([tmp_path], []))
     assert told["training time"] == "10 min, all processes together"
     assert told["program"].startswith("circle2d-mj ")
     first, second = told["command"].splitlines()
@@ -224,7 +224,7 @@ def test_what_is_told(tmp_path):
     assert "wcsac" in second
     assert (told["runs"], told["steps"]) == ("4", "100")
     (tmp_path / "cpo" / "status.json").unlink()
-    groups = read([tmp_path], [])
+    groups = read_groups([tmp_path], [])
     assert made(groups)["training time"] == "5 min, all processes together, of 1 of 2 folders"
     assert not {"machine", "training time"} & made(groups[:1]).keys()
 
@@ -300,5 +300,5 @@ def test_no_printed_numbers_beside_a_task_with_other_parameters(tmp_path):
         assert ("paper (3 seeds)" in markdown(table(tmp_path, STUDY))) is ("paper" in kinds)
         found = {line["kind"] for line in lines_of(tmp_path / "report.csv")}
         assert found & {"mean", "run", "paper"} == kinds
-        ties = ties_table(read([tmp_path], []))
+        ties = ties_table(read_groups([tmp_path], []))
         assert {row.kind for row in ties.rows} == kinds - {"run"}

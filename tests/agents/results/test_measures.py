@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_runs import cells, groups_of, lines_of, write_evaluated
 
-from agents import presets
+from agents import presets, results
 from agents.cli.main import main
 from agents.errors import OwnCodeError
 from agents.paper.evidence import gather
@@ -16,9 +16,8 @@ from agents.reporting.compare import compare
 from agents.reporting.provenance import summary
 from agents.reporting.report import report
 from agents.results.frame import COLUMNS, Printed, frame
-from agents.results.frame import read as read_frame
 from agents.results.measures import Measure, measure, measures, register, unregister
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.results.statistics import difference_of, mean_of, within_limit
 
 SMALL = {"backend": "numpy", "random-steps": 40, "gradient-steps": 1, "batch-size": 32}
@@ -178,7 +177,7 @@ def test_a_row_for_each_run_and_measure(tmp_path):
     write_evaluated(tmp_path / "b", "cpo", costs=(4, 5), seeds=(3, 4))
     write_evaluated(tmp_path / "c", "wcsac", costs=(5, 6))
     write_evaluated(tmp_path / "d", "cpo", costs=(7,), task="Circle2D-2-v0")
-    groups = read([tmp_path], [])
+    groups = read_groups([tmp_path], [])
     tidy = frame(groups)
     assert list(tidy.columns) == list(COLUMNS)
     assert len(tidy) == (5 + 2 + 1) * len(measures(shown=False))
@@ -202,16 +201,16 @@ def test_a_row_for_each_run_and_measure(tmp_path):
 def test_a_frame_of_folders(tmp_path):
     """With the numbers of a book, windows, and why a run has no values."""
     write_evaluated(tmp_path / "a", "cpo", costs=(1, 2))
-    results = tmp_path / "a" / "results.npz"
-    with np.load(results) as file:
+    path = tmp_path / "a" / "results.npz"
+    with np.load(path) as file:
         arrays = dict(file)
     arrays["Circle2D-1-v0/1/failure"] = np.array("it fell")
-    np.savez(results, **arrays)
+    np.savez(path, **arrays)
 
     def printed(group):
         return Printed({"J_C": 7.0}, False, "book (9 seeds)")
 
-    tidy = read_frame([tmp_path], window=2, printed=printed)
+    tidy = results.read([tmp_path], window=2, printed=printed)
     runs, book = tidy[tidy["source"] == "runs"], tidy[tidy["source"] == "book (9 seeds)"]
     assert book[["measure", "value"]].to_numpy().tolist() == [["J_C", 7.0]]
     fallen = runs[runs["seed"] == 1]

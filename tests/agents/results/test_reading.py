@@ -22,7 +22,7 @@ from agents.presets import preset
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.results.archive import write_archive
 from agents.results.frame import with_distinct_titles
-from agents.results.reading import folders_below, name_of_source, read
+from agents.results.reading import folders_below, name_of_source, read_groups
 from agents.training.derive import path_digits, path_of, thousandths, three_digits
 from emcc.records import digits, of_digits
 from emcc.sources import read_runs
@@ -50,7 +50,7 @@ def runs(tmp_path_factory):
 @pytest.fixture(scope="module")
 def packed(runs, tmp_path_factory):
     path = tmp_path_factory.mktemp("packed") / "runs.zip"
-    write_archive(path, read([runs], []))
+    write_archive(path, read_groups([runs], []))
     return path
 
 
@@ -81,7 +81,7 @@ def assert_equal_groups(ours, theirs, located=True):
 
 def test_an_archive_gives_what_the_folders_gave(runs, packed, tmp_path):
     notes, again = [], []
-    groups, archived = read([runs], notes), read([packed], again)
+    groups, archived = read_groups([runs], notes), read_groups([packed], again)
     assert_equal_groups(archived, groups)
     assert notes == again
     assert sum("is not finite" in note for note in notes) > 0
@@ -117,15 +117,17 @@ def test_an_old_archive_is_converted_without_changing_a_number(runs, tmp_path):
     old.parent.mkdir()
     write_old_archive(old, folder)
     new.parent.mkdir()
-    write_archive(new, read([old], []))
+    write_archive(new, read_groups([old], []))
     numbers, again = (
-        numbers_csv(report_lines(with_distinct_titles(read([path], [])), lambda group: None))
+        numbers_csv(report_lines(with_distinct_titles(read_groups([path], [])), lambda group: None))
         for path in (old, new)
     )
     assert numbers == again
     assert numbers.count(",run,") > 6
     for window in (3, 7):
-        for a, b in zip(*(read([path], [], None, window) for path in (old, new)), strict=True):
+        for a, b in zip(
+            *(read_groups([path], [], None, window) for path in (old, new)), strict=True
+        ):
             assert [run.measures for run in a.runs] == [run.measures for run in b.runs]
     for a, b in zip(read_runs(old), read_runs(new), strict=True):
         for name in ("rollout", "start_step", "length", "cost", "longest_streak", "streaks"):
@@ -181,7 +183,7 @@ def test_digits(numbers):
 
 def test_a_path_into_an_archive(runs, packed):
     for part in ("both", "Walk", "Walk/trpo-lag"):
-        assert_equal_groups(read([packed / part], []), read([runs / part], []))
+        assert_equal_groups(read_groups([packed / part], []), read_groups([runs / part], []))
         assert name_of_source(packed / part) == Path(part).name
     assert name_of_source(packed) == "grid"
     with pytest.raises(UserError, match="no folder nothing; it has Walk, both"):
@@ -194,7 +196,7 @@ def test_reading_changes_nothing_and_imports_nothing(runs, tmp_path):
     content = json.loads(path.read_text())
     path.write_text(json.dumps(content | {"algorithm": "mine", "modules": ["no_such_module"]}))
     before = results(copy)
-    groups = read([copy], [])
+    groups = read_groups([copy], [])
     assert [g.config.algorithm for g in groups].count("mine") == 2
     assert results(copy) == before
 
@@ -218,7 +220,7 @@ def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
         file.writestr("readme", "")
     for name in ("foreign", "cut", "none"):
         with pytest.raises(UserError, match=f"{name}.zip is no archive that circle2d report wrote"):
-            read([tmp_path / f"{name}.zip"], [])
+            read_groups([tmp_path / f"{name}.zip"], [])
     for name, content in (
         ("both/results.npz", None),
         ("both/config.json", "{"),
@@ -226,12 +228,12 @@ def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
     ):
         notes = []
         path = without(packed, tmp_path / "less.zip", name, content)
-        assert read([path], notes)
+        assert read_groups([path], notes)
         assert any("results.npz is missing" in n or "config.json is damaged" in n for n in notes)
         assert not any("codec" in note for note in notes)
     with zipfile.ZipFile(path, "a") as file:
         file.comment = b"\xff"  # of another program
-    assert read([path], [])
+    assert read_groups([path], [])
 
 
 @pytest.mark.parametrize(
@@ -251,7 +253,7 @@ def test_numbers_that_cannot_be_are_left_out(tmp_path, name, change):
         changed = {f"{TASK}/1/{name}": change(file[f"{TASK}/1/{name}"])}
     edit_results(tmp_path, **changed)
     notes = []
-    [group] = read([tmp_path], notes)
+    [group] = read_groups([tmp_path], notes)
     assert group.seeds == [0]
     assert len(notes) == 1
     assert "seed 1" in notes[0]
@@ -263,22 +265,25 @@ def test_several_sources_are_one(tmp_path):
         write_evaluated(tmp_path / "whole" / TASK / name, name, costs=costs)
         shutil.copytree(tmp_path / "whole" / TASK / name, tmp_path / name / "grid" / TASK / name)
     archive, folder = tmp_path / "cpo.zip", tmp_path / "wcsac" / "grid"
-    write_archive(archive, read([tmp_path / "cpo" / "grid"], []))
-    both, whole = read([archive, folder], [], "all"), read([tmp_path / "whole"], [], "all")
+    write_archive(archive, read_groups([tmp_path / "cpo" / "grid"], []))
+    both, whole = (
+        read_groups([archive, folder], [], "all"),
+        read_groups([tmp_path / "whole"], [], "all"),
+    )
     assert_equal_groups(both, whole, located=False)
     assert [g.folder for g in both] == [g.folder for g in whole]
     assert both[0].title == f"all/{TASK}/cpo"
-    joined = read([folder / TASK / "wcsac", archive], [], "all")
+    joined = read_groups([folder / TASK / "wcsac", archive], [], "all")
     assert {group.folder for group in joined} == {"wcsac", f"{TASK}/cpo"}
-    same = read([tmp_path / "whole", folder], [], "all")
+    same = read_groups([tmp_path / "whole", folder], [], "all")
     several = {f"{root}/{TASK}/wcsac" for root in ("whole", "grid")}
     assert {group.folder for group in same} == {f"{TASK}/cpo"} | several
     for inner in (tmp_path / "whole" / TASK, tmp_path / "whole" / ".." / "whole"):
         with pytest.raises(UserError, match=r"is in .*whole: its runs would count twice"):
-            read([inner, tmp_path / "whole"], [], "all")
+            read_groups([inner, tmp_path / "whole"], [], "all")
     (tmp_path / "empty").mkdir()
     with pytest.raises(UserError, match="empty holds no runs"):
-        read([tmp_path / "empty", archive], [], "all")
+        read_groups([tmp_path / "empty", archive], [], "all")
 
 
 def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
@@ -290,7 +295,7 @@ def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
         more |= {"seeds": seeds, "cost_limit": limit}
         agents.train("trpo-lag", TASK, out=tmp_path / name, **more)
     notes = []
-    [pooled], [whole] = read([tmp_path / "p"], notes), read([tmp_path / "whole"], [])
+    [pooled], [whole] = read_groups([tmp_path / "p"], notes), read_groups([tmp_path / "whole"], [])
     assert pooled.seeds == [0, 1, 2]
     assert pooled.folder == "one + more"
     assert "counted as one: p/one (seeds 0, 1); p/more (seeds 2)" in notes[0]
@@ -301,19 +306,19 @@ def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
     assert str(pooled.trained(2)) == str(whole.trained(2))
     assert str(pooled.replay(pooled.runs[2])) == str(whole.replay(whole.runs[2]))
     write_archive(tmp_path / "p.zip", [pooled])
-    assert_equal_groups(read([tmp_path / "p.zip"], []), [pooled])
+    assert_equal_groups(read_groups([tmp_path / "p.zip"], []), [pooled])
 
 
 def test_what_stays_apart(tmp_path):
     """A seed that was trained twice, and other settings."""
     for name, seeds in (("a", (0, 1)), ("b", (2, 3)), ("c", (3, 4))):
         write_evaluated(tmp_path / "x" / name, "cpo", seeds, seeds=seeds)
-    assert [group.folder for group in read([tmp_path / "x"], [])] == ["a", "b", "c"]
+    assert [group.folder for group in read_groups([tmp_path / "x"], [])] == ["a", "b", "c"]
     usual = preset("trpo-lag", TASK)
     for name, seeds, discount in (("a", (0, 1), 0.99), ("b", (2, 3), 0.9)):
         chosen = replace(usual, discount=discount)
         write_evaluated(tmp_path / "y" / name, "trpo-lag", seeds, chosen, seeds=seeds)
-    assert [group.folder for group in read([tmp_path / "y"], [])] == ["a", "b"]
+    assert [group.folder for group in read_groups([tmp_path / "y"], [])] == ["a", "b"]
 
 
 def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
@@ -323,7 +328,7 @@ def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
     )
     assert "\N{EN DASH}" in runs.table()
     notes = []
-    (group,) = read([tmp_path / "x"], notes)
+    (group,) = read_groups([tmp_path / "x"], notes)
     emccs = [group.runs[0].measures[f"EMCC_{part}"] for part in (0.33, 0.66, 0.99)]
     assert [value is None for value in emccs] == [False, False, True]
     assert "x has no EMCC_0.99: of its 100 steps no rollout starts in that part" in notes

@@ -12,7 +12,7 @@ from agents.reporting.compare import compare
 from agents.reporting.figures import emcc_along, episode_means, midpoints
 from agents.reporting.report import report
 from agents.reporting.table import markdown
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.results.statistics import by_third
 
 STREAKS = [0, 0, 0, 10, 0, 5, 0, 0, 2, 0]
@@ -31,7 +31,7 @@ def write(folder, asked, name="ppo-lag", task="Circle2D-1-v0"):
 
 
 def test_thirds_are_of_the_steps_taken(tmp_path, capsys):
-    (group,) = read([write(tmp_path / "a", 75)], [])
+    (group,) = read_groups([write(tmp_path / "a", 75)], [])
     for run in group.runs:
         assert [run.measures[f"EMCC_{part}"] for part in (0.33, 0.66, 0.99)] == THIRDS
     # Cost steps of each third by its steps: the episodes that start at 0 to 30, 40 to 60, 70 to 90.
@@ -42,7 +42,7 @@ def test_thirds_are_of_the_steps_taken(tmp_path, capsys):
 
 
 def test_curves_end_with_the_steps_taken(tmp_path):
-    (group,) = read([write(tmp_path / "a", 75)], [])
+    (group,) = read_groups([write(tmp_path / "a", 75)], [])
     costs = episode_means(group, "cost").mean
     at = midpoints(group.total_steps)
     assert {int(x): c for x, c in zip(at, costs, strict=True) if c == c} == {

@@ -15,7 +15,7 @@ from agents.algorithms import algorithm
 from agents.errors import UserError
 from agents.on_policy.epoch import BLOCK
 from agents.results.archive import write_archive
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.training.config import RunId, TrainConfig
 
 OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
@@ -78,7 +78,7 @@ def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algori
     archives = []
     for folder in folders[:2]:
         (folder / "status.json").unlink()  # times and machines go into the archive
-        write_archive(folder.with_suffix(".zip"), read([folder], []))
+        write_archive(folder.with_suffix(".zip"), read_groups([folder], []))
         archives.append(folder.with_suffix(".zip").read_bytes())
     assert archives[0] == archives[1]
 

@@ -17,7 +17,7 @@ from toy_family import known
 import agents
 from agents.api import configs_of
 from agents.errors import UserError
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.training.trainer import train
 
 SETTINGS = {"seeds": (0, 1), "steps": 120, "checkpoint_every": 30, "evaluate_every": 60}
@@ -208,7 +208,7 @@ DAMAGES |= {
 def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_path):
     """And what reads the folder meanwhile gives no other number."""
     folder, expected = left
-    whole = read([folder], []) if (folder / "results.npz").exists() else []
+    whole = read_groups([folder], []) if (folder / "results.npz").exists() else []
     names = [n for n, c in files_of(folder).items() if c is not None and not n.endswith(".lock")]
     for name in names:
         for kind, damage in DAMAGES.items():
@@ -237,7 +237,7 @@ def assert_reads_the_same(copy, expected):
     """Or an error, or the run is left out with a note."""
     notes = []
     try:
-        groups = read([copy], notes)
+        groups = read_groups([copy], notes)
     except UserError:
         return
     for run in groups[0].runs:

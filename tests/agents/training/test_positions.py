@@ -8,7 +8,7 @@ from small_runs import TRPO, steps_of
 
 import agents
 from agents.errors import UserError
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.training.derive import pack_costs, replay_rows, shown_states
 from agents.training.environments import view_of
 from emcc import EpisodeRecords
@@ -82,7 +82,7 @@ def test_positions_come_from_observation_and_info(runs):
 
 
 def test_drawn_episodes_begin_where_they_started(runs):
-    group = next(group for group in read([runs.folder], []) if group.task == "Drift-v0")
+    group = next(group for group in read_groups([runs.folder], []) if group.task == "Drift-v0")
     for seed in group.seeds:
         episodes = group.trained(seed)
         assert len(episodes) == 3
@@ -90,7 +90,7 @@ def test_drawn_episodes_begin_where_they_started(runs):
             assert np.abs(np.diff(positions, axis=0)).max() < 0.1001 * 1.01
             assert not unsafe[0]
             np.testing.assert_array_equal(unsafe[1:], positions[1:, 0] > 0)
-    other = next(group for group in read([runs.folder], []) if group.task == "Blind-v0")
+    other = next(group for group in read_groups([runs.folder], []) if group.task == "Blind-v0")
     assert other.trained(3) is None
     for run in group.runs:
         assert sum(run.ends.values()) == 3
@@ -101,7 +101,7 @@ def test_drawn_episodes_begin_where_they_started(runs):
 
 def test_replay_by_hand(runs):
     """Against the positions of all steps: loops instead of arrays."""
-    group = next(group for group in read([runs.folder], []) if group.task == "Drift-v0")
+    group = next(group for group in read_groups([runs.folder], []) if group.task == "Drift-v0")
     for run in group.runs:
         positions = steps_of(runs.folder, f"Drift-v0/{run.seed}", "positions")
         costs = steps_of(runs.folder, f"Drift-v0/{run.seed}", "costs/cost")

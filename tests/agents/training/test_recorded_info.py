@@ -17,7 +17,7 @@ from agents.cli.main import main
 from agents.errors import UserError
 from agents.reporting.tables import recorded_table
 from agents.results.archive import write_archive
-from agents.results.reading import read
+from agents.results.reading import read_groups
 from agents.results.recorded import two_digits
 from emcc import longest_streak
 from emcc.records import unpack_costs
@@ -78,7 +78,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     more = SAC | {"seeds": 3, "steps": 200}
     with_it = agents.train("sac-lag", "Pressed-v0", out=tmp_path / "a", **more)
     write_archive(tmp_path / "a.zip", with_it.results)
-    [kept], [own] = (read([path], []) for path in (tmp_path / "a.zip", with_it.folder))
+    [kept], [own] = (read_groups([path], []) for path in (tmp_path / "a.zip", with_it.folder))
     assert "Pressed-v0/3/info/beyond/unsafe" not in kept.parts[0].arrays
     assert str(recorded_table([kept])) == str(recorded_table([own])) != "None"
     x, beyond = (kept.recorded_of(kept.runs[0], name) for name in ("x", "beyond"))
@@ -94,7 +94,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
             for group in (kept, own)
         )
         assert archived == pytest.approx(exact)
-    [windowed] = read([tmp_path / "a.zip"], [], None, 2)
+    [windowed] = read_groups([tmp_path / "a.zip"], [], None, 2)
     above = windowed.recorded_of(windowed.runs[0], "beyond").emcc_above
     assert {*above(0.0).values()} == {None}
     monkeypatch.setattr(Pressed, "recorded_info", {})
@@ -132,7 +132,7 @@ def test_what_cannot_be_recorded(monkeypatch):
 
 def test_the_table_of_what_is_recorded_by_hand(pressed):
     """Of one run: shares, percentiles and streaks of each third, counted in loops."""
-    group = next(group for group in read([pressed.folder], []) if group.task == "Pressed-v0")
+    group = next(group for group in read_groups([pressed.folder], []) if group.task == "Pressed-v0")
     one = replace(group, runs=group.runs[:1])
     table = recorded_table([one])
     assert table is not None
