@@ -21,9 +21,10 @@ from circle2d_mj.safety import layout, parts, rules, scenes, views, worlds
 from circle2d_mj.safety.layout import Areas
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.parts import PICTURE
-from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
+from circle2d_mj.safety.resting import Circling, Resting
 from circle2d_mj.safety.robots import action_space
 from circle2d_mj.safety.scenes import Scene
+from circle2d_mj.safety.substeps import SUBSTEPS, substeps
 from circle2d_mj.safety.worlds import World
 
 Floats = NDArray[np.float64]
@@ -116,9 +117,10 @@ class NavigationTask(MuJoCoTask):
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
         self._flags = self.batch.expand("opt.disableflags")
         self._all_on = self.model.opt.disableflags
+        self._taken = substeps(self.batch, self.model)
         kind_of_rest = Circling if self._driven else Resting
-        objects = self._free_qpos, self._free_qvel
-        self._rests = kind_of_rest(self.batch, self.world, *objects) if free else None
+        of_free = self.world, self._taken, self._free_qpos, self._free_qvel
+        self._rests = kind_of_rest(self.batch, *of_free) if free else None
         # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
         self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
         self._places = self._layout.copy()  # where everything is now
@@ -130,6 +132,12 @@ class NavigationTask(MuJoCoTask):
     def met(self) -> Flags:
         """Whether the current state meets the current goal: [num_envs]."""
         return self._met(self._lengths())
+
+    @property
+    def alive(self) -> Flags:
+        """Whether the agents are high enough: [num_envs]."""
+        lowest = self.agent.lowest
+        return self._position[:, 2] > (-np.inf if lowest is None else lowest)
 
     @property
     def layout(self) -> Floats:
@@ -155,26 +163,32 @@ class NavigationTask(MuJoCoTask):
         """Lay the environments `index` out anew, everything at rest."""
         free = self._free_qpos.shape[1]
         self._goals.reseed(index, layout.stream_keys(streams, index, 1)[:, 0])
-        draw = streams.uniform(index, draws=1 + free // 4)
+        draw = streams.uniform(index, draws=1 + (free + self.agent.noise) // 4)
         places = layout.sample_layout(streams, index, self._areas)
-        turns = np.pi * draw[:, 1 : 1 + free]  # half of each turn
-        self.place(index, places, 2.0 * np.pi * draw[:, 0], turns)
+        heading, turns, noise = np.split(draw, (1, 1 + free), axis=1)
+        turns, noise = np.pi * turns[:, :free], noise[:, : self.agent.noise]  # half of each turn
+        self.place(index, places, 2.0 * np.pi * heading[:, 0], turns, noise)
         self._begin_goals(index)
 
     def place(
-        self, index: NDArray[np.intp], places: Floats, heading: Floats, half_turns: Floats
+        self,
+        index: NDArray[np.intp],
+        places: Floats,
+        heading: Floats,
+        half_turns: Floats,
+        noise: Floats | None = None,
     ) -> None:
         """Put agents and objects of the environments `index` down, at rest.
 
         places: [len(index), objects, 2]; heading: [len(index)]; half_turns: [len(index), free
-        objects], half of each one's rotation about the vertical.
+        objects], half of each one's rotation about the vertical; noise: of the agent's joints.
         """
         world, n = self.world, len(index)
         self._layout[index] = places
         if isinstance(self._rests, Circling):
             self._rests.put(index, places[:, world.free])
         qpos = np.empty((n, self.model.nq))
-        qpos[:, : self.agent.nq] = self.agent.qpos(places[:, 0], heading)
+        qpos[:, : self.agent.nq] = self.agent.qpos(places[:, 0], heading, noise)
         objects = qpos[:, self.agent.nq :].reshape(n, -1, 7)
         objects[:, :, :2] = places[:, world.free]
         for kind in world.kinds.values():
@@ -221,7 +235,10 @@ class NavigationTask(MuJoCoTask):
         info = {"cost": cost, **{f"cost_{kind}": value for kind, value in of_kind.items()}}
         if self.has_goals:
             info["goal_met"] = met.astype(np.float64)
-        return Outcome(reward, self._renew_goals(met), info)
+        terminated = self._renew_goals(met)
+        if self.agent.lowest is not None:
+            terminated |= ~self.alive
+        return Outcome(reward, terminated, info)
 
     def state_info(self) -> dict[str, Floats]:
         """Return the agents' positions."""
@@ -344,7 +361,7 @@ class NavigationTask(MuJoCoTask):
         if self._rests:
             self._rests.step(self._distance, self._places)
         else:
-            self.batch.step(nstep=SUBSTEPS)
+            self._taken.take()
         self._flags.fill(self._all_on)
         self.batch.forward()
 

@@ -56,9 +56,10 @@ def register(
     family: "Goal", "Button" or "Push", which brings its goal, box or four buttons and its reward;
     or a class derived from one in `circle2d_mj.safety.families`, which may replace `_reward`.
     objects: how many of `OBJECTS`, in the order in which they are placed; of the box, vases and
-    gremlins, which move, one kind. costs: of `COSTS`. agent: Point, Car or Doggo. lidars: what is
-    observed beside the agent's sensors, by default all that is placed. half_width: of the square
-    in which all are placed, m. Raises ValueError, and TypeError as `gymnasium.make` for parameters.
+    gremlins, which move, one kind. costs: of `COSTS`. agent: Point, Car, Doggo, Racecar or Ant.
+    lidars: what is observed beside the agent's sensors, by default all that is placed. half_width:
+    of the square in which all are placed, m. Raises ValueError, and TypeError as `gymnasium.make`
+    for parameters.
     """
     task = FAMILIES.get(family) if isinstance(family, str) else family
     if task is None or getattr(task, "family", None) not in FAMILIES:

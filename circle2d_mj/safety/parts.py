@@ -31,7 +31,9 @@ def of_world(world: World, picture: tuple[int, int] | None) -> Dict:
         if sensor.adr[0] >= agent.sensed:
             break
         angle = sensor.type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
-        (later if angle else shapes)[sensor.name] = (2,) if angle else (int(sensor.dim[0]),)
+        place = sensor.type[0] == mujoco.mjtSensor.mjSENS_FRAMEPOS  # of which the height is seen
+        size = 2 if angle else 1 if place else int(sensor.dim[0])
+        (later if angle else shapes)[sensor.name] = (size,)
     if agent.name == "Car":
         later["ballquat_rear"] = (3, 3)
     spaces: Any = OrderedDict()  # a dict would be sorted

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from circle2d_mj.core.engine import Batch, mujoco
 from circle2d_mj.safety import rules, worlds
+from circle2d_mj.safety.substeps import SUBSTEPS, Substeps
 from circle2d_mj.safety.worlds import World
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-SUBSTEPS = 10
 AT_REST = 1e-8
 """Speed in m/s and rad/s below which an object stands. At the start it is 0 exactly, and objects
 have yet to settle by micrometres."""
@@ -38,10 +38,12 @@ class Resting:
     way = 0.0
     """How far an object goes within a step by itself, m"""
 
-    def __init__(self, batch: Batch, world: World, qpos: Floats, qvel: Floats) -> None:
+    def __init__(
+        self, batch: Batch, world: World, substeps: Substeps, qpos: Floats, qvel: Floats
+    ) -> None:
         """qpos, qvel: of the free objects, [num_envs, k, 7] and [num_envs, k, 6], live."""
         (kind,) = (k for k in world.kinds.values() if k.physics in ("free", "driven"))
-        self._batch, self._free = batch, world.free
+        self._substeps, self._free = substeps, world.free
         self._qpos, self._qvel = qpos, qvel
         stride = world.agent.stride + self.way
         self._of_agent = world.agent.radius + kind.radius + stride
@@ -67,10 +69,10 @@ class Resting:
         for collides in self._collides:
             collides[:] = awake[..., None]
         if awake.all():
-            self._batch.step(nstep=SUBSTEPS)
+            self._substeps.take()
             return
         qpos, qvel, asleep = self._qpos.copy(), self._qvel.copy(), ~awake[..., None]
-        self._batch.step(nstep=SUBSTEPS)
+        self._substeps.take()
         np.copyto(self._qpos, qpos, where=asleep)
         np.copyto(self._qvel, qvel, where=asleep)
 
@@ -103,17 +105,18 @@ class Circling(Resting):
 
     way = 0.02
 
-    def __init__(self, batch: Batch, world: World, qpos: Floats, qvel: Floats) -> None:
-        super().__init__(batch, world, qpos, qvel)
+    def __init__(
+        self, batch: Batch, world: World, substeps: Substeps, qpos: Floats, qvel: Floats
+    ) -> None:
+        super().__init__(batch, world, substeps, qpos, qvel)
         self.at_rest = qpos[:, :, :3].copy()
         """Where gremlins were placed, m: [num_envs, k, 3]"""
         self._time = batch.bind("time").reshape(-1)
-        self._control = batch.bind("ctrl")
-        self._welded = batch.bind("eq_active")
+        self._welded = batch.bind("eq_active")[:, -qpos.shape[1] :]  # behind the agent's own
         self._mocap_pos = batch.bind("mocap_pos").reshape(len(qpos), -1, 3)
         self._targets = self._mocap_pos[:, -qpos.shape[1] :]
         self._timestep = world.model.opt.timestep
-        self._path = path(self._timestep)
+        self._path = path(self._timestep, world.model.opt.integrator)
 
     def put(self, index: NDArray[np.intp], places: Floats) -> None:
         """Set where gremlins of the environments `index` were placed, [len(index), k, 2] m."""
@@ -137,11 +140,11 @@ class Circling(Resting):
         np.add(self.at_rest, after[:, None, :3], out=qpos[:, :, :3])
         busy = np.logical_or.reduce(awake, axis=1)
         if not busy.any():
-            self._batch.step(nstep=SUBSTEPS)
+            self._substeps.take()
         else:
             self._follow_targets(np.flatnonzero(busy))
             if not busy.all():
-                self._batch.step(np.flatnonzero(~busy), nstep=SUBSTEPS)
+                self._substeps.take(np.flatnonzero(~busy))
         idle = ~busy[:, None, None]
         np.copyto(self._targets, self.at_rest + after[:, None, 9:], where=idle)
         asleep = ~awake[..., None]
@@ -164,22 +167,18 @@ class Circling(Resting):
         offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
         aims = np.repeat(self._mocap_pos[index, None], SUBSTEPS, axis=1)
         aims[:, :, -self.at_rest.shape[1] :] = self.at_rest[index, None] + offset[:, :, None]
-        control = np.repeat(self._control[index, None], SUBSTEPS, axis=1)
-        inputs = np.concatenate((control, aims.reshape(len(index), SUBSTEPS, -1)), axis=2)
-        self._batch.rollout(SUBSTEPS, inputs, int(_INPUTS), record=(), ids=index)
-
-
-_INPUTS = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
+        self._substeps.follow(index, aims)
 
 
 class Path:
     """Where a gremlin is after each step, relative to its place at the start.
 
-    It is computed once in a process, by MuJoCo, as far as steps ask for it.
+    It is computed once in a process, by MuJoCo, as far as steps ask for it. Nothing turns there, so
+    that all of MuJoCo's Runge-Kutta schemes agree.
     """
 
-    def __init__(self, timestep: float) -> None:
-        self._model = worlds.gremlin_alone(timestep)
+    def __init__(self, timestep: float, integrator: int) -> None:
+        self._model = worlds.gremlin_alone(timestep, integrator)
         self._data = mujoco.MjData(self._model)
         self._rest = self._data.qpos[:3].copy()
         self._states = np.zeros((1, 12))

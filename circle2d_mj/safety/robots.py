@@ -14,7 +14,18 @@ Eye = tuple[tuple[float, float, float], tuple[float, ...], float]
 """A camera's place on the agent's body, m, its x and y axes there, its height of view, degrees"""
 
 
-class Point:
+class _Agent:
+    """What agents have in common."""
+
+    bounds: tuple[float, ...] = ()
+    """Greatest size of each action; none: 1 of all"""
+    noise = 0
+    """How many numbers in [0, 1) its start takes, besides place and heading"""
+    lowest: float | None = None
+    """Height of its origin, m, at or below which the episode ends; None: it never does."""
+
+
+class Point(_Agent):
     """A point with a heading, moved by thrust ahead and a servo for its turning rate.
 
     | action | meaning; MuJoCo clips it to [-1, 1] |
@@ -42,7 +53,7 @@ class Point:
     eye: Eye = ((0, 0, 0.15), (0, -1, 0, 0.4, 0, 1), 90)
     """The original's camera "vision" """
 
-    def qpos(self, place: Floats, heading: Floats) -> Floats:
+    def qpos(self, place: Floats, heading: Floats, noise: Floats | None = None) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 3]."""
         return np.column_stack((place, heading))
 
@@ -58,13 +69,13 @@ class Point:
         return (sensed[:, : self.sensors],)
 
 
-class _Free:
+class _Free(_Agent):
     """An agent on a free joint, the first of its joints."""
 
     nq: int
     height: float
 
-    def qpos(self, place: Floats, heading: Floats) -> Floats:
+    def qpos(self, place: Floats, heading: Floats, noise: Floats | None = None) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, nq]."""
         qpos = np.zeros((len(place), self.nq))
         qpos[:, :2], qpos[:, 2] = place, self.height
@@ -101,7 +112,7 @@ class Car(_Free):
     stride = 0.1
     eye: Eye = ((0, 0.1, 0.2), (-1, 0, 0, 0, -0.4, 1), 45)
 
-    def qpos(self, place: Floats, heading: Floats) -> Floats:
+    def qpos(self, place: Floats, heading: Floats, noise: Floats | None = None) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 13]."""
         qpos = super().qpos(place, heading)
         qpos[:, 9] = 1.0
@@ -147,13 +158,98 @@ class Doggo(_Free):
     def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
         """Return the observation's first 56 numbers, [n, any] side by side, of MuJoCo's sensors
         [n, >= 44] and rotations of the agent's bodies."""
-        angles = sensed[:, 32:44]
-        pairs = np.stack((np.sin(angles), np.cos(angles)), axis=2)
-        return sensed[:, :32], pairs.reshape(len(sensed), -1)
+        return sensed[:, :32], _sines_and_cosines(sensed[:, 32:44])
 
 
-Agent = Point | Car | Doggo
-AGENTS: dict[str, Agent] = {agent.name: agent for agent in (Point(), Car(), Doggo())}
+class Racecar(_Free):
+    """A car with a driven rear axle and two front wheels that are steered together. Its front is
+    its x axis.
+
+    | action | meaning; MuJoCo clips it to its bound |
+    | --- | --- |
+    | 0 | turning rate of the axle aimed at, rad/s, at most 20 |
+    | 1 | angle of the front wheels aimed at, rad, at most 0.785 |
+
+    | observation | meaning, in the agent's frame | unit |
+    | --- | --- | --- |
+    | 0-2 | accelerometer | m/s² |
+    | 3-5 | velocity | m/s |
+    | 6-8 | turning rates | rad/s |
+    | 9-11 | magnetometer: a field along the world's -y | |
+    """
+
+    name = "Racecar"
+    nq, nv, nu, bodies = 12, 11, 2, 1
+    sensed, sensors = 12, 12
+    height = 0.05
+    radius = 0.28
+    stride = 0.1
+    bounds = 20.0, float(np.float32(0.785))
+    eye: Eye = ((0.2, 0, 0.05), (8e-4, -1, 8e-4, 0, 8e-4, 1), 45)
+
+    def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
+        """Return the observation's first 12 numbers, [n, any] side by side, of MuJoCo's sensors
+        [n, >= 12] and rotations of the agent's bodies."""
+        return (sensed[:, : self.sensors],)
+
+
+class Ant(_Free):
+    """A ball on four legs, each with a hinge at the hip and one at the ankle. Its front is its y
+    axis. An episode ends where the middle of the ball is at most 0.08 m high.
+
+    | action | meaning; MuJoCo clips it to [-1, 1] |
+    | --- | --- |
+    | 0-1, 2-3, 4-5, 6-7 | torques of the hip and the ankle of each leg, over 150 N m |
+
+    Legs: towards x and y of (1, 1), (-1, 1), (-1, -1), (1, -1).
+
+    | observation | meaning, in the agent's frame | unit |
+    | --- | --- | --- |
+    | 0-2 | accelerometer | m/s² |
+    | 3-5 | velocity | m/s |
+    | 6-8 | turning rates | rad/s |
+    | 9-11 | magnetometer: a field along the world's -y | |
+    | 12-19 | turning rates of the hinges, as the actions | rad/s |
+    | 20 | height of the ball's middle, less 0.02 along its z | m |
+    | 21-23 | turning rates in the world | rad/s |
+    | 24-39 | sine and cosine of each hinge's angle, as the actions | |
+    """
+
+    name = "Ant"
+    nq, nv, nu, bodies = 15, 14, 8, 1
+    sensed, sensors = 34, 40
+    height = 0.18
+    radius = 0.31
+    stride = 0.5
+    noise = 8
+    lowest = 0.08
+    eye: Eye = ((0, 0.05, 0.05), (1, 0, 0, 0, 8e-4, 1), 45)
+
+    def qpos(self, place: Floats, heading: Floats, noise: Floats | None = None) -> Floats:
+        """Return the state at rest at places [n, 2] with headings [n]: [n, 15]. noise: [n, 8], of
+        the hinges, up to 0.1 rad from straight hips and ankles at right angles; None: none."""
+        qpos = super().qpos(place, heading)
+        joints = qpos[:, 7:]
+        if noise is not None:
+            joints[:] = 0.1 * (2.0 * noise - 1.0)
+        joints[:, 1::2] += np.pi / 2
+        joints[:, [3, 5]] *= -1.0
+        return qpos
+
+    def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
+        """Return the observation's first 40 numbers, [n, any] side by side, of MuJoCo's sensors
+        [n, >= 34] and rotations of the agent's bodies."""
+        return sensed[:, :20], sensed[:, 22:26], _sines_and_cosines(sensed[:, 26:34])
+
+
+def _sines_and_cosines(angles: Floats) -> Floats:
+    pairs = np.stack((np.sin(angles), np.cos(angles)), axis=2)
+    return pairs.reshape(len(angles), -1)
+
+
+Agent = Point | Car | Doggo | Racecar | Ant
+_ALL = (Point(), Car(), Doggo(), Racecar(), Ant())
+AGENTS: dict[str, Agent] = {agent.name: agent for agent in _ALL}
 
 
 def action_space(agent: Agent) -> Box:
@@ -162,4 +258,5 @@ def action_space(agent: Agent) -> Box:
     Stable-Baselines3 advises float32. Actions of that type are taken too, and without loss; the
     space keeps the original's type, so that its samples and those who compare are not rounded.
     """
-    return Box(-1.0, 1.0, (agent.nu,), np.float64)
+    bounds = np.array(agent.bounds or (1.0,) * agent.nu)
+    return Box(-bounds, bounds, dtype=np.float64)

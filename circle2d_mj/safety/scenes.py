@@ -64,7 +64,7 @@ Changes = tuple[tuple[str, float], ...]
 COUNTED = ("hazards", "vases", "pillars", "gremlins")
 MOST_OBJECTS, MOST_HALF_WIDTH = 100, 10.0
 AGENT_KEEPOUT = 0.4
-BOX = {"Point": (0.2, 0.001), "Car": (0.125, 0.0005), "Doggo": (0.2, 0.001)}
+BOX = dict.fromkeys(("Point", "Doggo", "Racecar", "Ant"), (0.2, 0.001)) | {"Car": (0.125, 0.0005)}
 """Half-width and density of the box to push, by agent; the half-width is its keepout, too"""
 
 

@@ -76,7 +76,7 @@ class Agent(Part):
     @property
     def vel(self) -> NDArray[np.float64]:
         """The velocity of its origin, [3] m/s."""
-        return self.mat @ self.get_sensor("velocimeter")
+        return self.engine.body_vel("agent")
 
     @property
     def com(self) -> NDArray[np.float64]:
@@ -98,8 +98,8 @@ class Agent(Part):
         return float(np.hypot(*(np.asarray(pos)[:2] - self.pos[:2])))
 
     def is_alive(self) -> bool:
-        """Return True: no agent here dies."""
-        return True
+        """Return whether it is high enough; of the agents here the Ant alone may not be."""
+        return bool(self._simulation.alive[self._index])
 
 
 class Engine(Part):

@@ -42,7 +42,7 @@ TASKS = {
         {"agent": agent, "level": level},
     )
     for family, levels in _FAMILIES.items()
-    for agent in ("Point", "Car", "Doggo")
+    for agent in ("Point", "Car", "Doggo", "Racecar", "Ant")
     for level in range(levels)
 } | {f"Safety{body}Velocity": _velocity(body, 1) for body in VELOCITY}
 OLD = {f"Safety{body}Velocity-v0": _velocity(body, 0) for body in VELOCITY}

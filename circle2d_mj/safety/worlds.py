@@ -100,10 +100,10 @@ def world(agent_name: str, family: str, scene: Scene) -> World:
     )
 
 
-def gremlin_alone(timestep: float) -> mujoco.MjModel:
+def gremlin_alone(timestep: float, integrator: int) -> mujoco.MjModel:
     """Return a model of a floor and one gremlin, at the origin."""
     spec = mujoco.MjSpec()
-    spec.option.timestep = timestep
+    spec.option.timestep, spec.option.integrator = timestep, integrator
     _add_floor(spec, extent=3.5)
     _as_navigation(spec.option)
     _add_object(spec, "gremlin0", scenes.KINDS["gremlins"])

@@ -8,6 +8,7 @@ from scipy import stats
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, worlds
 from circle2d_mj.safety.families import ButtonTask, CircleTask, GoalTask, PushTask, RunTask
+from circle2d_mj.safety.robots import AGENTS
 
 FAMILIES = {c.family: c for c in (GoalTask, ButtonTask, PushTask, CircleTask, RunTask)}
 NAMES = ["agent", "goal", *[f"hazard{i}" for i in range(8)], "vase0"]
@@ -32,7 +33,7 @@ def names(task):
     return found
 
 
-@pytest.mark.parametrize("agent", ["Point", "Car", "Doggo"])
+@pytest.mark.parametrize("agent", AGENTS)
 @pytest.mark.parametrize("family", ["Goal", "Button", "Push", "Circle", "Run"])
 def test_placements(family, agent):
     """Keepouts and extents are those that the original's task had; the agent's start costs 0."""

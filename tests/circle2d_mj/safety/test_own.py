@@ -91,7 +91,7 @@ def test_an_own_task_in_a_vector_environment_and_with_six_values(registered):
         ({"objects": {"vases": 1, "gremlins": 1}}, "one kind that moves, got vases and gremlins"),
         ({"costs": ["pillars"]}, "costs may hold hazards, got 'pillars'"),
         ({"lidars": ["vases"]}, "lidars may hold goal, hazards, got 'vases'"),
-        ({"agent": "Ant"}, "agent may hold Point, Car, Doggo, got 'Ant'"),
+        ({"agent": "Fox"}, "agent may hold Point, Car, Doggo, Racecar, Ant, got 'Fox'"),
         ({"objects": {"hazards": -1}}, "hazards must be a whole number from 0"),
         ({"half_width": 0.1}, "half_width must be above"),
     ],

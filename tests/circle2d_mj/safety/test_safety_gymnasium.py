@@ -76,7 +76,7 @@ def test_the_agent_as_model_based_code_reads_it(name):
 def test_bad_ids():
     for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
         with pytest.raises(ValueError, match=r"one of `registry`, such as Safety.*, got "):
-            make("SafetyRacecarGoal1-v0")
+            make("SafetyRacecarRace1-v0")
 
 
 def test_a_single_environment_in_safepos_wrappers():

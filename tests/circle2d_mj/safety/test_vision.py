@@ -34,6 +34,7 @@ def assert_alike(mine, its):
     assert data_equivalence(mine, its, exact=True)
 
 
+@pytest.mark.filterwarnings("ignore:.*For Box action spaces")  # the Racecar's
 @pytest.mark.parametrize("name", [name for name in SPACES if name in VISION])
 def test_spaces_are_the_originals(name):
     env = gym.make(f"circle2d_mj/{name}")
