@@ -14,7 +14,7 @@ from agents.reporting.figures import (
     rates_figure,
     task_figures,
 )
-from agents.reporting.maps import Scenes, maps, replay_data
+from agents.reporting.maps import Scene, Scenes, maps, replay_data
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
@@ -29,6 +29,7 @@ from agents.results.statistics import alike
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 
 RUNS = "Every run"
+ENDING = "Figures, heat maps and replay: index.html\n"
 
 
 class Report(NamedTuple):
@@ -61,47 +62,34 @@ def report(
         _check_archive(archive)
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
-    everything = with_names(read_groups(paths, notes, name, window))
+    groups = with_names(read_groups(paths, notes, name, window))
     study = study or Study()
-    claims = study.claims(everything)
-    usual, apart = study.set_apart(everything)
-    by_task = _by_task(usual)
-    scenes = Scenes()
-    located = [group for group in usual if group.is_of_first_cost]
-    if len(located) < len(usual):
-        notes.append("visited states, trained policies and replay are of the first cost alone")
-    replay = replay_data(located, scenes, notes)
-    seen = _by_task(located)
-    drawn = {
-        task: Section(task, figures=task_figures(groups), maps=maps(seen[task], scenes, notes))
-        for task, groups in by_task.items()
-    }
-    together = _figures_together(usual, study)
+    usual, apart = study.set_apart(groups)
+    claims = study.claims(groups)
+    pictures = _pictures(usual, notes)
+    details = study.details(usual) | _details(usual, notes)
     over_tasks = tables_over_tasks(usual)
-    details = study.details(usual) | _details(by_task, notes)
-    main = _task_tables(by_task, study, notes) | apart | over_tasks
+    main = _task_tables(usual, study, notes) | apart | over_tasks  # with all notes: the last
     tables = main | details
-    if archive is not None:
-        write_archive(archive, everything)
-    shown = [
-        *claims,
-        *(Section(name, over_tasks.get(name), figures) for name, figures in together.items()),
-        *([Section("Replay of training", replay=replay)] if replay["runs"] else []),
-        *(
-            drawn.get(name, Section(name))._replace(table=table)
-            for name, table in tables.items()
-            if name not in together
-        ),
+    together = [
+        Section(name, over_tasks.get(name), figures)
+        for name, figures in _figures_together(usual, study).items()
     ]
+    others = [
+        pictures.by_task.get(name, Section(name))._replace(table=table)
+        for name, table in tables.items()
+        if name not in [section.title for section in together]
+    ]
+    if archive is not None:
+        write_archive(archive, groups)
     out.mkdir(parents=True, exist_ok=True)
-    title = f"{heading(usual)} ({name_of_all(everything)})"
-    html = page(title, shown, made(everything), summary(usual), scenes.all)
+    title = f"{heading(usual)} ({name_of_all(groups)})"
+    shown = [*claims, *together, *pictures.replay, *others]
+    html = page(title, shown, made(groups), summary(usual), pictures.scenes)
     write_whole(out / "index.html", html)
     verdicts = [section.statements_markdown() for section in claims]
     titled = [block for name, table in tables.items() for block in (f"## {plain(name)}\n", table)]
-    ending = "Figures, heat maps and replay: index.html\n"
-    write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
-    write_whole(out / "report.csv", numbers_csv(report_lines(everything, study.printed)))
+    _write_tables(out, [*verdicts, *titled, ENDING], groups, study)
     write_whole(out / "report.tex", latex(main, columns))
     missing = [note for note in notes if isinstance(note, LeftOut)]
     return Report([*main.values(), *verdicts], missing, out / "index.html")
@@ -114,15 +102,21 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
     `report`.
     """
     notes: list[str] = []
-    everything = with_names(read_groups([folder], notes))
+    groups = with_names(read_groups([folder], notes))
     study = study or Study()
-    usual, apart = study.set_apart(everything)
-    tables = _task_tables(_by_task(usual), study, notes) | apart
-    if archive_of(folder):
-        return list(tables.values())
-    write_whole(folder / "report.md", markdown(tables.values()))
-    write_whole(folder / "report.csv", numbers_csv(report_lines(everything, study.printed)))
-    return list(tables.values())
+    usual, apart = study.set_apart(groups)
+    tables = [*_task_tables(usual, study, notes).values(), *apart.values()]
+    if not archive_of(folder):
+        _write_tables(folder, tables, groups, study)
+    return tables
+
+
+def _write_tables(
+    folder: Path, blocks: Sequence[Block], groups: Sequence[Group], study: Study
+) -> None:
+    """Write `report.md`, of some blocks, and `report.csv`."""
+    write_whole(folder / "report.md", markdown(blocks))
+    write_whole(folder / "report.csv", numbers_csv(report_lines(groups, study.printed)))
 
 
 def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
@@ -153,6 +147,31 @@ def _by_task(groups: Sequence[Group]) -> dict[str, list[Group]]:
     return {task: [group for group in groups if group.task == task] for task in tasks}
 
 
+class Pictures(NamedTuple):
+    """Figures and maps of the runs."""
+
+    by_task: dict[str, Section]
+    replay: list[Section]
+    """One section, or none where no run can be replayed."""
+    scenes: list[Scene]
+
+
+def _pictures(groups: Sequence[Group], notes: list[str]) -> Pictures:
+    """Learning curves, maps and replay. What cannot be drawn goes into the notes."""
+    scenes = Scenes()
+    located = [group for group in groups if group.is_of_first_cost]
+    if len(located) < len(groups):
+        notes.append("visited states, trained policies and replay are of the first cost alone")
+    replay = replay_data(located, scenes, notes)
+    seen = _by_task(located)
+    sections = {
+        task: Section(task, figures=task_figures(own), maps=maps(seen[task], scenes, notes))
+        for task, own in _by_task(groups).items()
+    }
+    replayed = [Section("Replay of training", replay=replay)] if replay["runs"] else []
+    return Pictures(sections, replayed, scenes.all)
+
+
 def _figures_together(groups: Sequence[Group], study: Study) -> dict[str, list[Figure]]:
     """Every run with its mean, and what EMCC shows that the cost rate does not, by the title of
     their sections; nothing where no run is complete."""
@@ -164,33 +183,25 @@ def _figures_together(groups: Sequence[Group], study: Study) -> dict[str, list[F
     }
 
 
-def _task_tables(
-    by_task: dict[str, list[Group]], study: Study, notes: Sequence[str]
-) -> dict[str, Table]:
+def _task_tables(groups: Sequence[Group], study: Study, notes: Sequence[str]) -> dict[str, Table]:
     """The table of each task; the notes below the last one."""
+    by_task = _by_task(groups)
     *_, last = by_task
     return {
-        task: task_table(
-            groups,
-            study.printed,
-            [*study.notes(groups), *(notes if task == last else [])],
-        )
-        for task, groups in by_task.items()
+        task: task_table(own, study.printed, [*study.notes(own), *(notes if task == last else [])])
+        for task, own in by_task.items()
     }
 
 
-def _details(by_task: dict[str, list[Group]], notes: list[str]) -> dict[str, Table]:
+def _details(groups: Sequence[Group], notes: list[str]) -> dict[str, Table]:
     """The numbers recorded at each step, and the panel of cost measures, of each task by title.
     Numbers that are damaged go into the notes."""
-    recorded = {}
-    for task, groups in by_task.items():
+    recorded, panels = {}, {}
+    for task, own in _by_task(groups).items():
         try:
-            recorded[f"{task}: recorded at each step"] = recorded_table(groups)
+            recorded[f"{task}: recorded at each step"] = recorded_table(own)
         except UserError as error:
-            notes.append(left_out(f"numbers recorded on {task}", groups, error))
-    panels = {
-        f"{task}: panel of cost measures": panel_table(groups)
-        for task, groups in by_task.items()
-        if any(group.runs for group in groups)
-    }
+            notes.append(left_out(f"numbers recorded on {task}", own, error))
+        if any(group.runs for group in own):
+            panels[f"{task}: panel of cost measures"] = panel_table(own)
     return {name: table for name, table in recorded.items() if table is not None} | panels
