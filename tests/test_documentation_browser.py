@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("index", "training", "made/tasks/Circle2D-1-v0", "algorithms/wcsac", "made/api/emcc")
-PAGES += ("made/results", "made/emcc_of_your_logs/index")
+PAGES += ("made/results", "made/baselines", "made/emcc_of_your_logs/index", "first_steps")
 """One page of each kind."""
 pytestmark = pytest.mark.slow
 
