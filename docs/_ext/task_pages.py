@@ -244,9 +244,8 @@ def _end(name: str) -> str:
 def _terminates(family: str) -> str:
     draws = family in ("Goal", "Push")
     return (
-        "It terminates only if no place for a new goal is found."
-        if draws
-        else "It never terminates."
+        f"It terminates where {'no place for a new goal is found, and where ' * draws}the Ant is "
+        "too low."
     )
 
 

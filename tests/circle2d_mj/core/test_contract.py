@@ -20,6 +20,7 @@ from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
 # One of each kind of state: no physics, a rigid region, an open one, a soft one; free objects,
 # gremlins with timers, a box, none, a body, forces.
 SAFETY = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
+SAFETY += ["SafetyRacecarPush1", "SafetyAntGoal1"]
 SAFETY += ["SafetyHopperVelocity", "SafetyHumanoidVelocity"]
 KINEMATIC = (Circle2DEnv, Circle2DVectorEnv)
 PHYSICS = (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv)
