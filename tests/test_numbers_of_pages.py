@@ -197,16 +197,13 @@ def test_the_safety_tasks():
     lines = results_table.report("safety")
     own = runs(lines, results_table.POINT_GOAL, "TRPO-Lag")
     printed = results_table.paper(lines, results_table.POINT_GOAL, "TRPO-Lag").iloc[0]
-    rises, falls = own["EMCC_0.99"] > own["EMCC_0.66"], own["EMCC_0.99"] < own["EMCC_0.33"]
+    rises = own["EMCC_0.99"] > own["EMCC_0.66"]
     told(
         "results/safety/README.md",
         f"from the middle to the last third in {count(rises)} runs",
-        f"From the first to the last it falls in {count(falls)}; nor do the paper's own numbers "
-        f"fall, {short(printed['EMCC_0.33'])} and {short(printed['EMCC_0.99'])}, though",
-        f"No run has a return below {short(own.J_R.min(), 1)}, the paper's mean is "
+        f"no run has a return below {short(own.J_R.min(), 1)}, the paper's mean is "
         f"{short(printed.J_R, 1)}.",
     )
-    assert not falls.any()
     told("results/baselines/README.md", f"TRPO-Lag has {short(own.J_R.mean(), 1)}.")
     for name in ("CPO", "SAC-Lag", "SAC-LB"):
         other = runs(lines, results_table.POINT_GOAL, name)
@@ -229,15 +226,11 @@ def test_ten_episodes_instead_of_a_hundred():
     )
 
 
-def on_point_circle():
-    lines = results_table.report("safety")
-    names = ("TRPO-Lag", results_table.SGD, "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
-    return [runs(lines, results_table.POINT_CIRCLE, name) for name in names]
-
-
 def test_the_claim_on_safety_point_circle():
     """Told as the report decides it."""
-    trpo, sgd, cpo, sac, lb, wcsac = on_point_circle()
+    lines = results_table.report("safety")
+    names = ("TRPO-Lag", results_table.SGD, "SAC-Lag", results_table.TERMINAL.format("SAC-Lag"))
+    trpo, sgd, sac, terminal = (runs(lines, results_table.POINT_CIRCLE, name) for name in names)
     section = page("results/safety/report.md").partition("### 2. On SafetyPointCircle1")[2]
     section = section.partition("\n## ")[0]
     verdict = VERDICT.search(section)[1]
@@ -249,7 +242,6 @@ def test_the_claim_on_safety_point_circle():
     p = dict(re.findall(r"^- ([\w.]+): .*; p: ([\d.]+)\)", own, re.M))
     assert [float(p[name]) for name in pairs] == [0.008] * 3
     assert with_sgd.startswith("undecided\n") and verdict == "Not reproduced"
-    falls = [count(own["EMCC_0.99"] < own["EMCC_0.33"]) for own in (trpo, cpo, sac, lb, wcsac)]
     told(
         "results/safety/README.md",
         f"**{verdict}**: TRPO-Lag has the higher cost rate, "
@@ -265,13 +257,6 @@ def test_the_claim_on_safety_point_circle():
         "as in the paper (p = {}; J_C is not told apart, p = {}), and".format(
             *(short(permuted(sgd[name], sac[name]), 3) for name in ("cost_rate", "J_C"))
         ),
-        f"in {falls[0]} runs of TRPO-Lag and SAC-Lag each, in {falls[1]} of CPO and SAC-LB each, "
-        f"in {falls[4]} of WCSAC",
-    )
-    terminal = runs(
-        results_table.report("safety"),
-        results_table.POINT_CIRCLE,
-        results_table.TERMINAL.format("SAC-Lag"),
     )
     assert "\nWith terminal: undecided\n" in section
     costs = [
@@ -289,8 +274,6 @@ def test_the_claim_on_safety_point_circle():
         costs_as_printed = all(ours[name].mean() > theirs[name].mean() for name in in_paper)
         assert not (costs_as_printed and ours["EMCC_0.33"].mean() < theirs["EMCC_0.33"].mean())
     assert all((sgd[name].mean() < trpo[name].mean()) for name in EMCC)
-    assert (falls[0], falls[1]) == (falls[2], falls[3])
-    assert not any((own.J_C <= SAFETY_LIMIT).all() for own in (trpo, cpo, sac, wcsac))
 
 
 def test_where_values_end():
@@ -346,8 +329,8 @@ def test_the_page_on_safety_hopper():
         f"**{verdict}**, by their length: {early[0][0]:.0f} steps against {early[1][0]:.0f} (p = "
         f"{short(float(length[0]), 3)}, n = 5 and 5; against the claim it takes "
         f"{short(0.05 / 3, 3)}).",
-        f"EMCC is higher, as claimed, "
-        f"{short(trpo['EMCC_0.33'].mean())} against {short(lb['EMCC_0.33'].mean())} (p = "
+        f"EMCC is higher, as claimed, {short(trpo['EMCC_0.33'].mean())} against "
+        f"{short(lb['EMCC_0.33'].mean())} (p = "
         f"{short(float(longer[0]), 3)}); costs, {early[0][1]:.1f} and {early[1][1]:.1f}, are not "
         f"told apart (p = {short(float(cost[0]), 3)}). Three runs a side had left it undecided, as "
         f"they must (p = {short(2 / math.comb(6, 3), 1)} at best)",
@@ -356,16 +339,13 @@ def test_the_page_on_safety_hopper():
     )
     told(
         "results/safety/README.md",
-        f"episodes have {min(lengths):.0f} to {max(lengths):.0f} steps. Its EMCC falls, in "
-        f"{falls[2]} runs; the paper's rises",
+        f"episodes have {min(lengths):.0f} to {max(lengths):.0f} steps.",
     )
     printed = {
         name: results_table.paper(lines, results_table.HOPPER, name).iloc[0] for name in names
     }
     assert 1.9 < trpo.J_R.mean() / printed["TRPO-Lag"].J_R < 2.1
     assert 3.0 < cpo.J_R.mean() / printed["CPO"].J_R < 3.3
-    assert printed["SAC-LB"]["EMCC_0.99"] > printed["SAC-LB"]["EMCC_0.33"]
-    assert 7.5 < printed["SAC-LB"].J_C / lb.J_C.mean() < 8.5
     for task, name, omnisafe in (
         (results_table.HOPPER, "TRPO-Lag", 1391.8),
         (results_table.HOPPER, "CPO", 1713.7),
@@ -375,10 +355,6 @@ def test_the_page_on_safety_hopper():
         both = runs(lines, task, name), results_table.paper(lines, task, name)
         ours, theirs = (abs(side.J_R.mean() - omnisafe) for side in both)
         assert ours < theirs
-    for name, omnisafe in (("TRPO-Lag", 23.0), ("CPO", 28.8)):
-        own = runs(lines, results_table.POINT_GOAL, name)
-        theirs = results_table.paper(lines, results_table.POINT_GOAL, name)
-        assert abs(theirs.J_C.iloc[0] - omnisafe) < abs(own.J_C.mean() - omnisafe)
 
 
 def test_the_page_beside_omnisafe():
