@@ -134,7 +134,7 @@ def train(
     try:
         if engine == "local" and address is None:
             config.write(folder)
-            _train(folder, on_epoch, progress)
+            _train(folder, config, on_epoch, progress)
         else:
             if (folder / CONFIG).exists():
                 raise UserError(f"{folder} holds runs already")
@@ -143,8 +143,9 @@ def train(
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
         raise
-    _warn_of_failures([folder], 4)  # one further, behind the decorator
-    return Runs([folder], temporary=out is None)
+    runs = Runs([folder], out is None, [config])
+    _warn_of_failures(runs, 4)  # one further, behind the decorator
+    return runs
 
 
 def sweep(
@@ -184,9 +185,9 @@ def sweep(
     chosen = [settings | values for values in combinations.values()]
     configs = configs_of(algorithm, task, chosen, preset, backend, given)
     by_folder = {folder / name: c for name, c in zip(combinations, configs, strict=True)}
-    folders = _launch(by_folder, engine, workers, address, split=len(by_folder) > 1)
-    _warn_of_failures(folders)
-    return Runs(folders)
+    runs = Runs(_launch(by_folder, engine, workers, address, split=len(by_folder) > 1))
+    _warn_of_failures(runs)
+    return runs
 
 
 def grid(
@@ -213,9 +214,9 @@ def grid(
     training fails; the others are done by then.
     """
     by_folder = grid_configs(algorithms, tasks, _to_write(out), preset, backend, settings)
-    folders = _launch(by_folder, engine, workers, address, split=True)
-    _warn_of_failures(folders)
-    return Runs(folders)
+    runs = Runs(_launch(by_folder, engine, workers, address, split=True))
+    _warn_of_failures(runs)
+    return runs
 
 
 def grid_configs(
@@ -270,11 +271,12 @@ def resume(
     for path in paths:
         if steps is not None:
             trainer.lengthen(path, steps)
-    for path in paths:
-        if _train(path, on_epoch, progress).stopped:
+    runs = Runs(paths)
+    for path, config in zip(paths, runs.configs, strict=True):
+        if _train(path, config, on_epoch, progress).stopped:
             break
-    _warn_of_failures(paths, 4)
-    return Runs(paths)
+    _warn_of_failures(runs, 4)
+    return runs
 
 
 def report(
@@ -415,7 +417,9 @@ def configs_of(
                     f"{presets[tasks[0]]} and {other}: train them in folders of their own, or give "
                     "the hyper-parameters in which they differ"
                 )
-        configs.append(TrainConfig(algorithm, tasks, hyperparameters=presets[tasks[0]], **settings))
+        own = presets[tasks[0]]
+        made = TrainConfig(algorithm, tasks, hyperparameters=own, backend=backend, **settings)
+        configs.append(made)
     first = configs[0]
     if first.step_timeout is not None and first.vectorization != "async":
         word = first.vectorization
@@ -427,6 +431,8 @@ def configs_of(
     chosen, why = lockstep_backend.choose(backend)
     if why:
         warnings.warn(why, stacklevel=4)
+    if chosen == backend:
+        return configs
     return [dataclasses.replace(config, backend=chosen) for config in configs]
 
 
@@ -528,25 +534,27 @@ def _to_write(out: Folder) -> Path:
     return Path(out).absolute()
 
 
-def _warn_of_failures(folders: Sequence[Path], stacklevel: int = 3) -> None:
+def _warn_of_failures(runs: Runs, stacklevel: int = 3) -> None:
     """Warn of each run that failed, with the traceback of the task's error."""
-    for folder in folders:
+    for folder, config in zip(runs.folders, runs.configs, strict=True):
         if not finished(folder):  # stopped by on_epoch
             continue
-        for run, why, trace in failed_runs(folder):
+        for run, why, trace in failed_runs(folder, config):
             words = f"{folder}: {run}: {why}\n{trace}".rstrip()
             warnings.warn(words, FailedRunWarning, stacklevel)
 
 
-def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Trainer:
+def _train(
+    folder: Path, config: TrainConfig, on_epoch: OnEpoch | None, progress: bool
+) -> trainer.Trainer:
     """Train a folder. Raises RunsFailed where every run failed."""
     with contextlib.ExitStack() as stack:
         own: list[trainer.Callback] = []
         if progress:
-            own.append(stack.enter_context(callbacks.show_progress(TrainConfig.read(folder))))
+            own.append(stack.enter_context(callbacks.show_progress(config)))
         if on_epoch:
             own.append(callbacks.follower(on_epoch))
-        trained = trainer.train(folder, *own)
+        trained = trainer.train(folder, *own, config=config)
     if (trained.failures != "").all():
         trace = next(filter(None, trained.tracebacks), "")
         words = f"every run of {folder} failed; the first {trained.failures[0]}"

@@ -10,6 +10,7 @@ What sets a hyper-parameter, each before those below it:
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from inspect import get_annotations
@@ -116,15 +117,20 @@ def recipe(task: str) -> Recipe:
 def preset(name: str, task: str, of: PresetName = "paper") -> Any:
     """The hyper-parameters of an algorithm for a task by one of `PRESETS`; on tasks without a rule
     the defaults. Raises UserError for an unknown algorithm or preset."""
-    config = algorithm(name).config()
+    config = algorithm(name).config
     if of not in PRESETS:
         raise UserError(f"there is no preset {of!r}: {nearest(str(of), PRESETS)}")
     values: dict[str, Any] = {}
     for rule in PRESETS[of]:
         if rule.holds(name, registered_id(task)):
             values |= rule.values
-    declared = [field for kind in type(config).__mro__ for field in get_annotations(kind)]
-    return replace(config, **{k: v for k, v in values.items() if declared.count(k) == 1})
+    declared = [field for kind in config.__mro__ for field in get_annotations(kind)]
+    return _made(config, tuple((k, v) for k, v in values.items() if declared.count(k) == 1))
+
+
+@functools.cache  # asked for each name in a table
+def _made(config: type, values: tuple[tuple[str, Any], ...]) -> Any:
+    return config(**dict(values))
 
 
 def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName = "paper") -> Any:
@@ -140,7 +146,8 @@ def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName =
             if having := with_hyperparameter(other):
                 hint = f"it is of {', '.join(having)}"
             raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
-    return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+    own = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+    return replace(config, **own) if own else config
 
 
 def with_hyperparameter(name: str) -> list[str]:

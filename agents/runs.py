@@ -26,12 +26,19 @@ Rows = Literal["measures", "episodes", "updates", "evaluations"]
 class Runs:
     """The runs of one folder or of several, and all that they left: see `load_runs`."""
 
-    def __init__(self, folders: Sequence[Path], temporary: bool = False) -> None:
-        """temporary: remove the folders with this object."""
+    def __init__(
+        self,
+        folders: Sequence[Path],
+        temporary: bool = False,
+        configs: Sequence[TrainConfig] | None = None,
+    ) -> None:
+        """temporary: remove the folders with this object. configs: of the folders, where the caller
+        has them."""
         if isinstance(folders, (str, os.PathLike)):
             raise UserError(f"Runs takes a list of folders, got {folders!r}: see load_runs")
         self.folders = tuple(map(Path, folders))
-        self.configs = tuple(TrainConfig.read(opened(f), strict=False) for f in self.folders)
+        read = configs or [TrainConfig.read(opened(f), strict=False) for f in self.folders]
+        self.configs = tuple(read)
         """The configuration of each folder."""
         if temporary:
             for folder in self.folders:

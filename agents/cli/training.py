@@ -7,7 +7,7 @@ import dataclasses
 import sys
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -41,6 +41,7 @@ from agents.presets import PresetName, preset, preset_with, with_hyperparameter
 from agents.reporting.report import report, table
 from agents.reporting.study import Study
 from agents.reporting.table import show, working
+from agents.runs import Runs
 from agents.training import callbacks, derive, evaluation, policy, trainer
 from agents.training import grid as grid_of
 from agents.training.callbacks import duration, share_done
@@ -130,7 +131,7 @@ def train(args: Sequence[str]) -> int:
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
     with AfterEpoch(options.imports) as after_epoch:
         runs = api.train(name, **values, progress=True, on_epoch=after_epoch)
-    return _finish(runs.folders, after_epoch)
+    return _finish(runs, after_epoch)
 
 
 def _train_options(hyperparameters: Any) -> type:
@@ -145,7 +146,7 @@ def _train_options(hyperparameters: Any) -> type:
     )
 
 
-def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
+def _finish(runs: Runs, after_epoch: AfterEpoch) -> int:
     """Print the table of every folder, and the failures; returns the exit status.
 
     after_epoch: says whether a signal stopped the training, of which one line is printed then.
@@ -154,12 +155,12 @@ def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
         say(after_epoch.words())
         return 128 + after_epoch.number
     status = 0
-    for folder in folders:
+    for folder in runs.folders:
         try:
             show(table(folder, STUDY), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
             status = max(status, no_table(error, "table"))
-    return max(status, name_failures(folders))
+    return max(status, name_failures(zip(runs.folders, runs.configs, strict=True)))
 
 
 def no_table(error: UserError, what: str) -> int:
@@ -170,11 +171,11 @@ def no_table(error: UserError, what: str) -> int:
     return int(isinstance(error, OwnCodeError))
 
 
-def name_failures(folders: Sequence[Path]) -> int:
+def name_failures(folders: Iterable[tuple[Path, TrainConfig]]) -> int:
     """Name the runs that failed in training or evaluation; returns the exit status."""
     status = 0
-    for folder in folders:
-        for run, why, trace in derive.failed_runs(folder):
+    for folder, config in folders:
+        for run, why, trace in derive.failed_runs(folder, config):
             print(trace, end="", file=sys.stderr)
             say(f"{folder}: {run}: {why}")
             status = 1
@@ -210,7 +211,7 @@ def resume(args: Sequence[str]) -> int:
     for folder in done:
         steps = TrainConfig.read(folder).steps
         say(f"{folder}: was done already, all {steps} steps; --steps N, of a greater N, goes on")
-    return _finish(runs.folders, after_epoch)
+    return _finish(runs, after_epoch)
 
 
 @dataclass(frozen=True)
@@ -266,7 +267,7 @@ def evaluate(args: Sequence[str]) -> int:
                 words += "".join(f", J_C {v:.2f}" + f" ({c})" * (c != "cost") for c, v in costs)
             print(f"{run}, {name} policy: {words}")
     return (
-        name_failures([folder])
+        name_failures([(folder, config)])
         if trained.done
         else int(any(r.void.any() for r in results.values()))
     )

@@ -85,10 +85,12 @@ def choice_of(group: Group) -> str | None:
     """The name in `grid.ablations` of a group's hyper-parameters; empty where they are the
     preset's, None where they are others."""
     config = group.config
+    if not hyperparameter_changes(config, group.task):
+        return ""
     for name, other in ablations(config.algorithm, group.task).items():
         if other == config.hyperparameters:
             return name
-    return None if hyperparameter_changes(config, group.task) else ""
+    return None
 
 
 class Finding(NamedTuple):

@@ -234,11 +234,11 @@ def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
     return "" if evaluated else "its evaluation met a number that is not finite"  # before 0.4
 
 
-def failed_runs(folder: Path) -> Iterator[tuple[RunId, str, str]]:
+def failed_runs(folder: Path, config: TrainConfig) -> Iterator[tuple[RunId, str, str]]:
     """The runs of `results.npz` that failed, or whose evaluation did: why, and the traceback of the
-    task's error, "" where it was none."""
+    task's error, "" where it was none. config: of the folder."""
     arrays = Arrays(folder / RESULTS)
-    for run in TrainConfig.read(folder, strict=False).runs:
+    for run in config.runs:
         if why := why_failed(arrays, run):
             trace = run.prefix + "traceback"
             yield run, why, str(arrays[trace]) if trace in arrays else ""

@@ -66,16 +66,17 @@ Callback = Callable[["Trainer"], object]
 
 
 @no_exit()
-def train(folder: Path, *own: Callback) -> Trainer:
+def train(folder: Path, *own: Callback, config: TrainConfig | None = None) -> Trainer:
     """Train the runs of a folder to their end, from the newest checkpoint if there is one.
 
-    The folder is one that `TrainConfig.write` made. own: further callbacks. Changes torch's threads
+    The folder is one that `TrainConfig.write` made. own: further callbacks. config: of the folder,
+    where the caller has it. Changes torch's threads
     and the kernel of networks for the process (`backend.configure`). NumPy has one thread
     meanwhile: its idle threads spin, which made two trainings side by side on two cores nine times
     slower. Ends with an evaluation and `results.npz`, unless these are there or a callback stopped
     it. Raises UserError where another process trains there.
     """
-    config = TrainConfig.read(folder)
+    config = config or TrainConfig.read(folder)
     backend.configure(config.backend)
     with threadpool_limits(1, user_api="blas"), locked(folder):
         remove_unfinished(folder)
@@ -135,6 +136,7 @@ class Trainer:
 
     def __init__(self, folder: Path, config: TrainConfig) -> None:
         self.folder, self.config = folder, config
+        self._sizes = read_spaces(folder).sizes
         count = len(config.runs)
         self.epochs = np.zeros(count, dtype=np.int64)
         """Epochs each run has begun, [R]: one that is done waits for the others, and in a longer
@@ -160,10 +162,9 @@ class Trainer:
         self._compared = 0
 
     def _learner(self, stream_seeds: list[int]) -> Learner:
-        config, sizes = self.config, read_spaces(self.folder).sizes
-        learned = config.learned
+        config = self.config
         with self._own_code("is made"):
-            return make_learner(config.algorithm, learned, stream_seeds, *sizes)
+            return make_learner(config.algorithm, config.learned, stream_seeds, *self._sizes)
 
     @functools.cached_property
     def _envs(self) -> SideBySide:
