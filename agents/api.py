@@ -61,18 +61,18 @@ def train(
     algorithm: str,
     task: str | Iterable[str] = "Circle2D-1-v0",
     *,
-    seeds: int | Iterable[int] = (0, 1, 2),
+    seeds: int | Iterable[int] = TrainConfig.seeds,
     steps: int | None = None,
     out: Folder | None = None,
     task_parameters: Mapping[str, Any] | None = None,
-    costs: Sequence[str] = ("cost",),
-    checkpoint_every: int = 50_000,
-    evaluate_every: int | None = None,
-    evaluation_episodes: int = 100,
-    vectorization: Vectorization = "auto",
-    step_timeout: float | None = None,
-    backend: Backend = "c++",
-    tensorboard: bool = False,
+    costs: Sequence[str] = TrainConfig.costs,
+    checkpoint_every: int = TrainConfig.checkpoint_every,
+    evaluate_every: int | None = TrainConfig.evaluate_every,
+    evaluation_episodes: int = TrainConfig.evaluation_episodes,
+    vectorization: Vectorization = TrainConfig.vectorization,
+    step_timeout: float | None = TrainConfig.step_timeout,
+    backend: Backend = TrainConfig.backend,
+    tensorboard: bool = TrainConfig.tensorboard,
     preset: PresetName = "paper",
     on_epoch: OnEpoch | None = None,
     progress: bool = False,
@@ -124,9 +124,22 @@ def train(
     if algorithm == "zoo":
         algorithm, preset, usual = of_zoo(task, preset)
         steps = usual if steps is None else steps
-    given = {name: value for name, value in locals().items() if name in SETTINGS}
+    given = settings_of(locals())
     place = None if out is None else _to_write(out)  # before anything that takes long
     (config,) = configs_of(algorithm, task, [hyperparameters], preset, backend, given)
+    return train_config(config, place, on_epoch, progress, engine, address)
+
+
+def train_config(
+    config: TrainConfig,
+    out: Folder | None,
+    on_epoch: OnEpoch | None,
+    progress: bool,
+    engine: EngineName = "local",
+    address: str | None = None,
+) -> Runs:
+    """Train the runs of a configuration: see `train`."""
+    place = None if out is None else _to_write(out)
     callbacks.check_callback(on_epoch)
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
@@ -144,7 +157,7 @@ def train(
             shutil.rmtree(folder, ignore_errors=True)
         raise
     runs = Runs([folder], out is None, [config])
-    _warn_of_failures(runs, 4)  # one further, behind the decorator
+    _warn_of_failures(runs, 5)  # two further, behind train and its decorator
     return runs
 
 
@@ -177,8 +190,9 @@ def sweep(
     for name in ("on_epoch", "progress"):
         if name in settings:
             raise UserError(f"sweep takes no {name}: it trains in other processes")
-    given = {name: settings.pop(name) for name in SETTINGS if name in settings}
-    for name in grid.keys() & {"task", *SETTINGS}:
+    given = settings_of(settings)
+    settings = {name: value for name, value in settings.items() if name not in given}
+    for name in (*settings_of(grid), *({"task"} & grid.keys())):
         raise UserError(f"grid takes hyper-parameters; {name} is equal in all trainings of a sweep")
     for name in grid.keys() & settings.keys():
         raise UserError(f"{name} is given twice: in the grid, and as {settings[name]!r}")
@@ -234,8 +248,8 @@ def grid_configs(
     several = [tasks] if isinstance(tasks, str) else [*tasks]
     if not names or not several:
         raise UserError("grid needs an algorithm and a task at least")
-    given = {name: value for name, value in settings.items() if name in SETTINGS}
-    own = {name: value for name, value in settings.items() if name not in SETTINGS}
+    given = settings_of(settings)
+    own = {name: value for name, value in settings.items() if name not in given}
     return {
         out / file_name(task_id(task)) / name: config
         for task in dict.fromkeys(several)
@@ -362,11 +376,12 @@ def plot(
     return draw(folders_of(*paths), Path(out), measures, names, colours, width).words
 
 
-SETTINGS = (
-    *("seeds", "steps", "task_parameters", "costs", "checkpoint_every", "evaluate_every"),
-    *("evaluation_episodes", "vectorization", "step_timeout", "tensorboard"),
-)
-"""Arguments of `train` that are fields of a configuration."""
+def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of some arguments that are settings of any training: fields of a configuration, but for
+    what `configs_of` is given apart."""
+    names = {field.name for field in dataclasses.fields(TrainConfig)}
+    apart = {"algorithm", "tasks", "hyperparameters", "backend"}
+    return {name: value for name, value in values.items() if name in names - apart}
 
 
 def of_zoo(task: str | Iterable[str], preset: PresetName) -> tuple[str, PresetName, int]:
@@ -385,41 +400,34 @@ def of_zoo(task: str | Iterable[str], preset: PresetName) -> tuple[str, PresetNa
 def configs_of(
     algorithm: str,
     task: str | Iterable[str],
-    hyperparameters: Sequence[Mapping[str, Any]],
+    hyperparameters: Sequence[Any],
     preset: PresetName,
     backend: Backend,
     given: Mapping[str, Any],
 ) -> list[TrainConfig]:
-    """A configuration for each choice of hyper-parameters. Raises UserError for what is not
-    allowed, or not possible on this machine. given: of `SETTINGS`."""
+    """A configuration for each choice of hyper-parameters: values that replace the preset's, or all
+    of them, an object of the algorithm's config. given: as of `settings_of`. Raises UserError for
+    what is not allowed, or not possible on this machine."""
     several = [task] if isinstance(task, str) or not isinstance(task, Iterable) else [*task]
     tasks = tuple(map(task_id, several))
     if not tasks:
         raise UserError("task must be the id of a gymnasium task, or several, got none")
-    settings = {"seeds": (0, 1, 2), "steps": None} | dict(given)
-    settings["steps"] = 1_000_000 if settings["steps"] is None else settings["steps"]
-    seeds = settings["seeds"]
+    settings = dict(given)
+    if settings.get("steps") is None:
+        settings["steps"] = TrainConfig.steps
+    seeds = settings.get("seeds", TrainConfig.seeds)
     settings["seeds"] = tuple(seeds) if isinstance(seeds, Iterable) else (seeds,)
-    parameters = settings.pop("task_parameters", None)
-    parameters = {} if parameters is None else parameters
+    parameters = settings.get("task_parameters")
     settings["task_parameters"] = (
         dict(parameters) if isinstance(parameters, Mapping) else parameters
     )
-    costs = settings.get("costs", ("cost",))
+    if parameters is None:
+        del settings["task_parameters"]
+    costs = settings.get("costs", TrainConfig.costs)
     settings["costs"] = (costs,) if isinstance(costs, str) else tuple(costs)
-    configs = []
-    for own in hyperparameters:
-        presets = {name: preset_with(algorithm, name, own, preset) for name in tasks}
-        for name, other in presets.items():
-            if other != presets[tasks[0]]:
-                raise UserError(
-                    f"{tasks[0]} and {name} have other presets for {algorithm}, "
-                    f"{presets[tasks[0]]} and {other}: train them in folders of their own, or give "
-                    "the hyper-parameters in which they differ"
-                )
-        own = presets[tasks[0]]
-        made = TrainConfig(algorithm, tasks, hyperparameters=own, backend=backend, **settings)
-        configs.append(made)
+    settings |= {"algorithm": algorithm, "tasks": tasks, "backend": backend}
+    every = [_hyperparameters(algorithm, tasks, own, preset) for own in hyperparameters]
+    configs = [TrainConfig(**settings, hyperparameters=own) for own in every]
     first = configs[0]
     if first.step_timeout is not None and first.vectorization != "async":
         word = first.vectorization
@@ -434,6 +442,22 @@ def configs_of(
     if chosen == backend:
         return configs
     return [dataclasses.replace(config, backend=chosen) for config in configs]
+
+
+def _hyperparameters(algorithm: str, tasks: Sequence[str], own: Any, preset: PresetName) -> Any:
+    """Hyper-parameters of `configs_of`. Raises UserError where presets of tasks differ."""
+    if not isinstance(own, Mapping):
+        return own
+    presets = {name: preset_with(algorithm, name, own, preset) for name in tasks}
+    first, chosen = next(iter(presets.items()))
+    for name, other in presets.items():
+        if other != chosen:
+            raise UserError(
+                f"{first} and {name} have other presets for {algorithm}, {chosen} and {other}: "
+                "train them in folders of their own, or give the hyper-parameters in which they "
+                "differ"
+            )
+    return chosen
 
 
 def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:

@@ -60,39 +60,39 @@ class TrainOptions:
     """Folder that the runs are written to; made, and refused if it holds runs already."""
     task: tuple[str, ...] = ("Circle2D-1-v0",)
     """Ids of gymnasium tasks with info["cost"]; without its version the newest."""
-    seeds: tuple[int, ...] = (0, 1, 2)
+    seeds: tuple[int, ...] = TrainConfig.seeds
     """A run on each task for each seed."""
     steps: int | None = None
     """Environment steps of each run, rounded up to whole epochs; by default 1 000 000, of zoo as
     many as its runs had."""
-    checkpoint_every: int = 50_000
+    checkpoint_every: int = TrainConfig.checkpoint_every
     """Environment steps of a run between checkpoints, from which a killed run goes on; more, where
     writing them would take more than 2 % of the time."""
-    evaluate_every: int | None = None
+    evaluate_every: int | None = TrainConfig.evaluate_every
     """Environment steps of a run between evaluations over 20 episodes of each policy; each
     evaluation also saves the policy (see `Runs.to_pandas`). By default only the end is
     evaluated."""
-    evaluation_episodes: int = 100
+    evaluation_episodes: int = TrainConfig.evaluation_episodes
     """Episodes of each run and policy (deterministic, stochastic) in the evaluation at the end."""
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
-    costs: tuple[str, ...] = ("cost",)
+    costs: tuple[str, ...] = TrainConfig.costs
     """Names of costs in the tasks' info: all are recorded; an algorithm limits the first, or as
     many as its rule says."""
-    vectorization: Vectorization = "auto"
+    vectorization: Vectorization = TrainConfig.vectorization
     """How environments run side by side. auto: the task's own vector environment, or gymnasium's
     SyncVectorEnv where it has none; sync: always SyncVectorEnv; async: a process for each
     environment, for slow tasks."""
-    step_timeout: float | None = None
+    step_timeout: float | None = TrainConfig.step_timeout
     """Seconds that a step may take with async; if a process does not answer in time, the training
     fails. By default there is no limit."""
-    tensorboard: bool = False
+    tensorboard: bool = TrainConfig.tensorboard
     """Write TensorBoard event files too."""
     preset: PresetName = "paper"
     """Where hyper-parameters start from. paper: the paper's values on its tasks and their families,
     the algorithm's defaults elsewhere; zoo: those of the agents that come with the package; none:
     the defaults everywhere."""
-    backend: Backend = "c++"
+    backend: Backend = TrainConfig.backend
     """How networks are computed: in C++, compiled in two seconds the first time, or in NumPy, half
     as fast, which also stands in with a warning where there is no C++ compiler."""
     imports: Imports = ()
@@ -112,7 +112,7 @@ def train(args: Sequence[str]) -> int:
         raise UserError(f"train needs the algorithm first: one of {names}")
     tasks = [task_id(task) for task in values_of("--task", args)] or [*TrainOptions.task]
     named: Any = [TrainOptions.preset, *values_of("--preset", args, most=1)][-1]
-    own, named, _ = api.of_zoo(tasks, named) if name == "zoo" else (name, named, None)
+    own, named, steps = api.of_zoo(tasks, named) if name == "zoo" else (name, named, None)
     hyperparameters = preset(own, tasks[0], named)
     for task in tasks[1:]:
         if preset(own, task, named) != hyperparameters:
@@ -124,13 +124,17 @@ def train(args: Sequence[str]) -> int:
             if not hasattr(hyperparameters, option) and with_hyperparameter(option):
                 preset_with(name, tasks[0], {option: None}, named)  # says whose it is
         raise
-    values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
-    del values["imports"]
-    values["task_parameters"] = literals(options.task_parameters)
-    own = options.hyperparameters
-    values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
+    out = options.out.absolute()  # a task may change the current folder
+    check_folder(out)
+    given = api.settings_of(vars(options))
+    given |= {
+        "task_parameters": literals(options.task_parameters),
+        "steps": steps if options.steps is None else options.steps,
+    }
+    what = (own, options.task, [options.hyperparameters], named, options.backend, given)
+    (config,) = api.configs_of(*what)
     with AfterEpoch(options.imports) as after_epoch:
-        runs = api.train(name, **values, progress=True, on_epoch=after_epoch)
+        runs = api.train_config(config, out, after_epoch, progress=True)
     return _finish(runs, after_epoch)
 
 
@@ -312,9 +316,8 @@ def grid(args: Sequence[str]) -> int:
     options = parse(GridOptions, "grid", own)
     options = replace(options, out=options.out.absolute())  # a task may change the current folder
     check_folder(options.out)
-    settings = {name: getattr(options, name) for name in api.SETTINGS}
+    settings = api.settings_of(vars(options)) | hyperparameters
     settings["task_parameters"] = literals(options.task_parameters)
-    settings |= hyperparameters
     what = (options.algorithms, options.task, options.out, options.preset, options.backend)
     return _run(options, api.grid_configs(*what, settings))
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.algorithms import ALGORITHMS
 from agents.errors import OwnCodeError, UserError
 from agents.results import recorded
 from agents.results.measures import RunData, measured
@@ -293,7 +294,11 @@ class Group:
 
     @property
     def off_policy(self) -> bool:
-        """Whether its algorithm learns from a replay, an episode at a time."""
+        """Whether its algorithm learns from a replay, an episode at a time. Of one that is not
+        registered here a hyper-parameter tells it."""
+        name = self.config.algorithm
+        if name in ALGORITHMS:
+            return ALGORITHMS[name].off_policy
         return hasattr(self.config.hyperparameters, "replay_size")
 
     @property

@@ -30,6 +30,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from agents import presets
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.checks import In, Settings
 from agents.errors import UserError
@@ -124,10 +125,10 @@ class TrainConfig(Settings):
 
     algorithm: str
     tasks: tuple[str, ...]
-    seeds: tuple[int, ...]
-    steps: Annotated[int, In(1)]
+    seeds: tuple[int, ...] = (0, 1, 2)
+    steps: Annotated[int, In(1)] = presets.STEPS
     """Environment steps of each run; the episode that reaches them is finished."""
-    hyperparameters: Any
+    hyperparameters: Any = None
     """The algorithm's config; of an algorithm that is not registered, whose runs can only be
     reported, a dataclass of the same fields."""
     task_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
