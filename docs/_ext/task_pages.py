@@ -57,7 +57,7 @@ FAMILIES = ("Goal", "Button", "Push", "Circle", "Run")
 SAFETY_PAGES = (*(f"Safety{family}" for family in FAMILIES), "SafetyVelocity")
 """Pages of the Safety tasks, one for each family."""
 FILMED = {family: f"SafetyPoint{family}1-v0" for family in FAMILIES[:4]}
-FILMED |= {"Run": "SafetyCarRun0-v0", "Velocity": "SafetyHopperVelocity-v1"}
+FILMED |= {"Run": "SafetyCarRun0-v0", "Velocity": "SafetyHalfCheetahVelocity-v1"}
 COSTS = {
     "hazards": "the agent's origin is in a hazard",
     "vases_contact": "the agent touches a vase",

@@ -1,4 +1,5 @@
-"""Put trained runs of the zoo into results/zoo/zoo.csv, and their policy into the package.
+"""Put trained runs of the zoo into results/zoo (zoo.csv, curves.csv) and their policy into the
+package.
 
 python docs/_ext/zoo_rows.py FOLDER ...
 
@@ -23,7 +24,8 @@ from agents.training.policy import read_policy_arrays
 
 ROOT = Path(__file__).parents[2]
 TABLE, POLICIES = ROOT / "results/zoo/zoo.csv", ROOT / "agents/policies/zoo"
-LIMIT, WINDOW = 25.0, 10
+CURVES = ROOT / "results/zoo/curves.csv"
+LIMIT, WINDOW, POINTS = 25.0, 10, 50
 # Of OmniSafe's benchmark (its repository, benchmarks/on-policy), after 10 000 000 steps: J_R, J_C
 # and the algorithm of the highest return within the limit, without those that end episodes at it.
 PUBLISHED = {
@@ -80,6 +82,20 @@ def row(folder: Path) -> dict[str, object]:
     }
 
 
+def curves(folder: Path) -> pd.DataFrame:
+    """Return and cost of training's episodes: `POINTS` rows, the mean of the runs' means and the
+    lowest and highest of these."""
+    episodes = agents.load_runs(folder).to_pandas("episodes")
+    end = episodes.start_step.max() + 1
+    step = (episodes.start_step * POINTS // end).rename("step")
+    of_runs = episodes.groupby(["seed", step])[["return", "cost"]].mean().groupby("step")
+    found = of_runs.agg(["mean", "min", "max"]).round(3)
+    found.columns = ["_".join(names) for names in found.columns]
+    task = agents.load_runs(folder).config.tasks[0].rpartition("/")[2]
+    found.index = ((found.index + 0.5) * end / POINTS).astype(int)
+    return found.rename_axis("step").reset_index().assign(task=task)
+
+
 def chosen_seed(folder: Path) -> int:
     """The seed whose policy comes with the package."""
     means = evaluated(folder).loc["deterministic"]
@@ -100,15 +116,19 @@ def write_policy(folder: Path, seed: int) -> None:
     write_arrays(target / "checkpoints" / f"{steps:09}.npz", arrays)
 
 
+def write_rows(path: Path, rows: pd.DataFrame) -> None:
+    """Write rows of some tasks into a table, in place of those that it has of them."""
+    if path.exists():
+        old = pd.read_csv(path)
+        rows = pd.concat([old[~old.task.isin(rows.task)], rows])
+    path.parent.mkdir(exist_ok=True)
+    rows.sort_values("task", kind="stable").to_csv(path, index=False)
+
+
 def main(folders: list[Path]) -> None:
-    """Replace the rows and policies of the folders' tasks."""
-    rows = [row(folder) for folder in folders]
-    if TABLE.exists():
-        old = pd.read_csv(TABLE)
-        old = old[~old.task.isin([own["task"] for own in rows])]
-        rows = [*old.to_dict("records"), *rows]
-    TABLE.parent.mkdir(exist_ok=True)
-    pd.DataFrame(rows).sort_values("task").to_csv(TABLE, index=False)
+    """Replace the rows, curves and policies of the folders' tasks."""
+    write_rows(TABLE, pd.DataFrame([row(folder) for folder in folders]))
+    write_rows(CURVES, pd.concat([curves(folder) for folder in folders]))
     for folder in folders:
         write_policy(folder, chosen_seed(folder))
 
