@@ -6,7 +6,8 @@
 Prints how many times as fast as the older version, in C++ and in NumPy, trainings are: rollout,
 updates and records, after an epoch for warming up, of 1 and of 12 runs; and beside PPO and SAC of
 Stable-Baselines3, one run. Each measurement has a process of its own; sides take turns, and medians
-over turns are printed. 81307c5 is the last version with `torch.compile`, which it uses here.
+over turns are printed. On a quiet core a turn takes about ten minutes with --backends c++.
+81307c5 is the last version with `torch.compile`, which it uses here.
 """
 
 import argparse
@@ -27,7 +28,7 @@ CASES = [
 CASES += [(name, CIRCLE) for name in ("sac-lag", "sac-lb", "wcsac")]
 EPOCHS = {GOAL: 1, CIRCLE: 10}
 """Timed epochs of an on-policy algorithm; the SAC family's are of one episode, and four times as
-many, each with a gradient step for every step."""
+many of a single run, each with a gradient step for every step."""
 STABLE_BASELINES3 = {"ppo-lag": "PPO", "sac-lag": "SAC"}
 EPISODE = 50
 
@@ -49,7 +50,7 @@ def ours(algorithm, task, runs, how):
     config, epochs, warm = preset(algorithm, task), EPOCHS[task], 1
     if hasattr(config, "gradient_steps"):
         config = replace(config, gradient_steps=EPISODE, random_steps=0)
-        epochs, warm = 4 * epochs, -(-config.batch_size // EPISODE)
+        epochs, warm = 4 * epochs if runs == 1 else epochs, -(-config.batch_size // EPISODE)
     training = TrainConfig(algorithm, (task,), tuple(range(runs)), 10**6, config)
     with tempfile.TemporaryDirectory() as folder:
         training.write(Path(folder))
@@ -101,14 +102,14 @@ def row(algorithm, task, runs, options):
     for _ in range(options.turns):
         what = (algorithm, task, runs)
         found = {"before": speed(*what, "before", checkout=options.before)}
-        found |= {how: speed(*what, how) for how in ("c++", "numpy")}
+        found |= {how: speed(*what, how) for how in options.backends}
         if runs == 1 and algorithm in STABLE_BASELINES3:
             found["SB3"] = speed(STABLE_BASELINES3[algorithm], task)
         turns.append(found)
         print(algorithm, task, runs, found, file=sys.stderr)
 
     def median(kind, over=None):
-        if kind not in turns[0] or over not in (None, *turns[0]):
+        if not {kind, over or kind} <= turns[0].keys():
             return ""
         values = [turn[kind] / (turn[over] if over else 1) for turn in turns]
         return f"{statistics.median(values):,.{2 if over else 0}f}"
@@ -130,6 +131,7 @@ def main():
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--only", nargs="+", default=[name for name, _ in CASES])
     parser.add_argument("--runs", type=int, nargs="+", default=[1, 12])
+    parser.add_argument("--backends", nargs="+", default=["c++", "numpy"])
     parser.add_argument("--one", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
