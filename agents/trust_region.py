@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents.checks import In
 from agents.lockstep import kernel, lagrange
-from agents.lockstep.backend import differentiate, tensor
+from agents.lockstep.backend import tensor
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import (
     EpochData,
@@ -104,10 +104,9 @@ def policy_step(
     taken_steps = taken(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
-        def surrogate(params: Tensor) -> tuple[Tensor, tuple[()]]:
-            return compared(nets, params, taken_steps)[0][:, of].sum(), ()
-
-        return differentiate(surrogate, old)[0]
+        with torch.enable_grad():
+            at = old.detach().requires_grad_()
+            return torch.autograd.grad(compared(nets, at, taken_steps)[0][:, of].sum(), at)[0]
 
     product, solve = curvature(nets, config, old, epoch)
     problem = Problem(

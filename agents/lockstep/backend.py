@@ -1,10 +1,9 @@
-"""Settings of the process that training runs under, and gradients of losses."""
+"""Settings of the process that training runs under."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
-from typing import TypeVar
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -14,8 +13,6 @@ from torch import Tensor
 from agents.errors import UserError
 from agents.lockstep import kernel
 from agents.lockstep.kernel import Backend
-
-T = TypeVar("T")
 
 
 def configure(backend: Backend) -> None:
@@ -47,14 +44,6 @@ def restored() -> Iterator[None]:
     finally:
         torch.set_num_threads(threads)
         kernel.use(used)
-
-
-def differentiate(loss: Callable[[Tensor], tuple[Tensor, T]], at: Tensor) -> tuple[Tensor, T]:
-    """The gradient of a loss at some parameters, and what the loss returns beside its value."""
-    with torch.enable_grad():
-        at = at.detach().requires_grad_()
-        value, others = loss(at)
-    return torch.autograd.grad(value, at)[0], others
 
 
 def tensor(array: NDArray) -> Tensor:

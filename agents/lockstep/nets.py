@@ -16,23 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from agents.errors import UserError
 from agents.lockstep import kernel
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.descent import LANES
 from agents.lockstep.descent import MAY_DIVERGE as MAY_DIVERGE
 from agents.lockstep.descent import Moments as Moments
 from agents.lockstep.kernel import Activation
-
-
-def check_batch(batch_size: int) -> None:
-    """Refuse a batch_size that is no multiple of 32.
-
-    A run would depend, in its last bits, on the runs beside it: torch computes the remainder of a
-    vector otherwise than the vector.
-    """
-    if batch_size % LANES:
-        raise UserError(f"batch_size must be a multiple of {LANES}, got {batch_size}")
 
 
 class MLP:
@@ -66,10 +55,6 @@ class MLP:
         [R, B, in]: [R, K, B]."""
         count = params.shape[1]
         return self.forward(params.flatten(0, 1), inputs, count).unflatten(0, (-1, count))[..., 0]
-
-    def inputs_of(self, observation: Tensor) -> Tensor:
-        """The first of observations [..., at least in]: behind them may stand what others see."""
-        return observation[..., : self.sizes[0]].contiguous()
 
     def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Views of the weights [N, in, out] and biases [N, 1, out] in params [N, size], in turn."""

@@ -82,7 +82,7 @@ class GaussianPolicy(NamedTuple):
         # The exponential is taken of whole rows of lanes: see `nets`.
         log_std, actions = params[:, self.net.size :].contiguous(), self.net.sizes[-1]
         return Gaussian(
-            self.net.forward(params[:, : self.net.size], self.net.inputs_of(observation)),
+            self.net.forward(params[:, : self.net.size], observation[..., : self.net.sizes[0]]),
             log_std[:, None, :actions],
             log_std.exp()[:, None, :actions],
         )

@@ -29,7 +29,6 @@ from agents.lockstep.nets import (
     MLP,
     Activation,
     Moments,
-    check_batch,
     no_moments,
 )
 from agents.lockstep.noise import Purpose, stream
@@ -279,9 +278,11 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
 def check_rule(config: Any, rule: CostRule) -> None:
     """Raise ValueError where a function of a rule returns another shape than `CostRule` says: sums
     would run over other axes. Each is called once, with zeros. Raises UserError for a batch_size
-    that PyTorch must not see."""
-    if not all(map(has_closed_form, (rule.risk, rule.critic_loss, rule.penalty))):
-        check_batch(config.batch_size)
+    that PyTorch must not see: it computes what is left of a vector otherwise, and a run would
+    depend, in its last bits, on the runs beside it."""
+    in_torch = not all(map(has_closed_form, (rule.risk, rule.critic_loss, rule.penalty)))
+    if in_torch and config.batch_size % LANES:
+        raise UserError(f"batch_size must be a multiple of {LANES}, got {config.batch_size}")
     runs, batch, costs = 2, 3, rule.costs
     critics = torch.zeros(runs, config.cost_critics, batch)
     rows, features = torch.zeros(runs, batch), torch.zeros(runs, batch, 1)
