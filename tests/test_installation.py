@@ -81,7 +81,7 @@ def test_the_base_alone(wheel, tmp_path):
     install(tmp_path, "-c", PINS, wheel)
     run(tmp_path, "venv/bin/python", "-c", BASE)
     assert "EMCC" in run(tmp_path, "venv/bin/python", "-m", "emcc", "costs.npy").stdout
-    assert "sac-lb" in run(tmp_path, "venv/bin/circle2d", "--help").stdout
+    assert "sac-lb" in run(tmp_path, "venv/bin/saferl", "--help").stdout
     assert PROJECT["version"] in run(tmp_path, "venv/bin/circle2d", "--version").stdout
     for command in (["train", "cpo", "--out", "x"], ["report", "x"], ["resume"]):
         done = run(tmp_path, "venv/bin/circle2d", *command, status=2)
