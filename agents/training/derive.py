@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from agents.errors import UserError, traced
 from agents.lockstep.rollout import Policy
 from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
-from agents.training.environments import recorded_of, view_of
+from agents.training.environments import Looks, looks_of
 from agents.training.evaluation import Episodes, evaluate_runs
 from agents.training.files import Arrays, numbered, write_arrays
 from circle2d_mj.core.view import TellsWays, View, histogram
@@ -125,8 +125,8 @@ def write_results(
     """
     episodes = config.evaluation_episodes if episodes is None else episodes
     evaluated = evaluate_runs(config, policy, episodes, failures == "")
-    arrays = derived(folder, config, failures)
-    views = {task: view_of(task, config.task_parameters) for task in config.tasks}
+    looks = _looks(config)
+    arrays = derived(folder, config, failures, looks)
     for k, run in enumerate(config.runs):
         trace = tracebacks[k]
         for name, result in evaluated.items():
@@ -136,7 +136,7 @@ def write_results(
             if not result.void[k]:
                 own = result.of_run(k)
                 if name == "deterministic":
-                    own |= places_of(views[run.task], result.ends[k], result.costs[k, :, 0])
+                    own |= places_of(looks[run.task].view, result.ends[k], result.costs[k, :, 0])
                 prefix = f"{run.prefix}evaluation/{name}/"
                 arrays |= {prefix + key: array for key, array in own.items()}
         if trace:
@@ -152,15 +152,24 @@ def write_results(
     return evaluated
 
 
+def _looks(config: TrainConfig) -> dict[str, Looks]:
+    return {task: looks_of(task, config.task_parameters) for task in config.tasks}
+
+
 def derived(
-    folder: Path, config: TrainConfig, failures: NDArray | None = None
+    folder: Path,
+    config: TrainConfig,
+    failures: NDArray | None = None,
+    looks: Mapping[str, Looks] | None = None,
 ) -> dict[str, NDArray]:
-    """The arrays of `results.npz` but for evaluations, of a training that need not be done."""
-    steps = Steps(folder)
+    """The arrays of `results.npz` but for evaluations, of a training that need not be done. looks:
+    of the tasks, where the caller has them."""
+    steps, looks = Steps(folder), looks or _looks(config)
     arrays: dict[str, NDArray] = {"metrics": steps.metrics}
     for task in config.tasks:
         located: list[tuple[EpisodeRecords, NDArray[np.float32]]] = []
-        if info := recorded_of(task, config.task_parameters):
+        view, info = looks[task]
+        if info:
             arrays[file_name(task) + "/info"] = np.array([*info.items()], dtype=np.str_)
         for run in (run for run in config.runs if run.task == task):
             failure = "" if failures is None else failures[config.runs.index(run)]
@@ -180,7 +189,7 @@ def derived(
                 located.append((records, positions))
                 own |= _replay(records, positions, whole_training(records, config.steps))
             arrays |= {run.prefix + name: array for name, array in own.items()}
-        if located and (view := view_of(task, config.task_parameters)):
+        if located and view:
             with contextlib.suppress(UserError):  # a third without a rollout
                 visits = count_visits(view, located, config.steps)
                 prefix = file_name(task) + "/"

@@ -124,25 +124,34 @@ def most_steps(*limits: int | None) -> int:
     return max(MAX_STEPS, *(limit or 0 for limit in limits))
 
 
+class Looks(NamedTuple):
+    """What a task's environment says of itself."""
+
+    view: View | None
+    """Its attribute `view`; None where it has none."""
+    recorded: dict[str, str]
+    """`recorded_info`"""
+
+
+def looks_of(task: str, parameters: dict[str, Any]) -> Looks:
+    """What a registered task says of itself, nothing of another: no module is imported for it.
+    Raises UserError where the task cannot be made."""
+    with _one(task, parameters) as env:
+        return Looks(_view(env), {} if env is None else recorded_info(env))
+
+
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
-    """The view of a registered task: the attribute `view` of its environment.
-
-    None where the task has no view or is not registered; no module is imported for it. Raises
-    UserError where the task cannot be made.
-    """
+    """The view of a registered task alone: see `looks_of`."""
     with _one(task, parameters) as env:
-        try:
-            view = env.get_wrapper_attr("view") if isinstance(env, gym.Env) else env.view
-        except AttributeError:
-            return None
+        return _view(env)
+
+
+def _view(env: Any) -> View | None:
+    try:
+        view = env.get_wrapper_attr("view") if isinstance(env, gym.Env) else env.view
+    except AttributeError:
+        return None
     return view if callable(getattr(view, "positions", None)) else None
-
-
-def recorded_of(task: str, parameters: dict[str, Any]) -> dict[str, str]:
-    """`recorded_info` of a registered task, {} of another; no module is imported for it. Raises
-    UserError where the task cannot be made."""
-    with _one(task, parameters) as env:
-        return {} if env is None else recorded_info(env)
 
 
 @contextlib.contextmanager

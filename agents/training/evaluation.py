@@ -14,7 +14,7 @@ from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_n
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.lockstep.rollout import Rollout, collect
 from agents.training.config import TrainConfig
-from agents.training.environments import is_native, make_envs, recorded_of, view_of
+from agents.training.environments import is_native, looks_of, make_envs
 from agents.training.wrappers import RecordSteps, SideBySide
 
 SNAPSHOT_EPISODES = 20
@@ -100,8 +100,8 @@ def runs_envs(config: TrainConfig, each: int) -> SideBySide:
             config.task_costs,
             alone=True,
         )
-        of_task = (task, config.task_parameters)
-        parts.append(RecordSteps(envs, view_of(*of_task), list(recorded_of(*of_task))))
+        looks = looks_of(task, config.task_parameters)
+        parts.append(RecordSteps(envs, looks.view, list(looks.recorded)))
     seen = [config.wrap(part, task) for part, task in zip(parts, config.tasks, strict=True)]
     return SideBySide(parts, config.costs, seen)
 
