@@ -6,7 +6,8 @@
 Prints how many times as fast as the older version, in C++ and in NumPy, trainings are: rollout,
 updates and records, after an epoch for warming up, of 1 and of 12 runs; and beside PPO and SAC of
 Stable-Baselines3, one run. Each measurement has a process of its own; sides take turns, and medians
-over turns are printed. On a quiet core a turn takes about ten minutes with --backends c++.
+over turns are printed. A turn takes about a quarter of an hour with
+--backends c++, half of it the older version's compilation.
 81307c5 is the last version with `torch.compile`, which it uses here.
 """
 
