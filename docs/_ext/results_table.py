@@ -254,7 +254,7 @@ def forces() -> list[str]:
         runs = [group.recorded_of(run, "contact_force") for run in group.runs]
         felt = np.concatenate([force.above_0() for force in runs])
         steps, most = sum(run.steps.sum() for run in runs), max(run.most.max() for run in runs)
-        told = (f"{value:.0f}" for value in (*np.percentile(felt, (50, 99)), most))
+        told = (*(f"{value:.3g}" for value in np.percentile(felt, (50, 99))), f"{most:.0f}")
         thirds = []
         for limit in FORCES:
             above = [[*force.emcc_above(limit).values()] for force in runs]
