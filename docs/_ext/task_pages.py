@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import itertools
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -28,8 +27,6 @@ from circle2d_mj.safety.scenes import COUNTED, parameters, scene
 from circle2d_mj.safety.tasks import IDS, VELOCITY
 from circle2d_mj.safety.velocity import BODIES, VelocityTask
 
-FILMS = Path(__file__).parents[1] / "films"
-"""Films that need OpenGL: drawn by `python docs/_ext/safety_films.py`, and kept."""
 OBSERVED = tuple(
     f"{axis} of the {what}"
     for what in ("position, over the arena's half-width", "velocity, over 0.11 R a step")
@@ -92,12 +89,10 @@ def pages() -> dict[str, str]:
 
 
 def write_films(folder: Path) -> None:
-    """Write the film of every task beside its page."""
+    """Write the film of every Circle2D task beside its page."""
     for level in LEVELS:
         for name in (KINEMATIC[level], PHYSICS[level]):
             circle2d_films.write(name, folder / f"{name}.gif")
-    for film in FILMS.glob("*.gif"):
-        shutil.copy(film, folder)
 
 
 def _circle2d(name: str, level: int) -> str:
@@ -265,7 +260,7 @@ def _safety_arguments(name: str, changed: Iterable[str] = ()) -> str:
 def _safety_page(name: str, film: str, sections: dict[str, list[str]]) -> str:
     policy = shown_policy(film)
     shown = f"The policy `{policy}`" if policy else "An agent that draws its actions at random"
-    head = [f"# {name}", f"![A film of {film}]({film}.gif)", f"{shown}, on `{film}`."]
+    head = [f"# {name}", f"![A film of {film}](../../films/{film}.gif)", f"{shown}, on `{film}`."]
     for title, parts in sections.items():
         head += [f"## {title}", *filter(None, parts)]
     return "\n\n".join(head) + "\n"
