@@ -73,7 +73,7 @@ def packed(values: NDArray[np.float64], records: EpisodeRecords) -> dict[str, ND
     """The arrays that an archive keeps of the number; `unpacked` reads them."""
     told = of_steps(values, records, None)
     kept = {name: np.array(getattr(told, name)) for name in ("lowest", "steps", "most")}
-    if told.lowest < 0 or not len(told.values):  # no table tells more
+    if told.lowest < 0:  # no table tells more
         return kept
     kept |= {"values": told.values.astype(np.float32), "counts": told.counts.astype(np.int32)}
     # Of steps at 0 one behind each streak is enough, and one in each episode.
@@ -81,7 +81,8 @@ def packed(values: NDArray[np.float64], records: EpisodeRecords) -> dict[str, ND
     needed = (values > 0) | np.append(True, values[:-1] > 0)
     needed[first] = True
     lengths = np.add.reduceat(needed, first, dtype=np.int64)
-    thresholds = two_digits(values[values > 0].min(), told.most.max())
+    positive = values[values > 0]
+    thresholds = two_digits(positive.min(), positive.max()) if len(positive) else np.zeros(1)
     above = functools.partial(_emcc_above, values[needed], lengths, records, None)
     rows = [[*above(threshold).values()] for threshold in thresholds.tolist()]
     return kept | {"thresholds": thresholds, "emcc": np.array(rows, dtype=float)}

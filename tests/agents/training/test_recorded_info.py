@@ -16,6 +16,7 @@ import emcc
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.reporting.tables import recorded_table
+from agents.results import recorded
 from agents.results.archive import write_archive
 from agents.results.reading import read_groups
 from agents.results.recorded import two_digits
@@ -97,6 +98,11 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     [windowed] = read_groups([tmp_path / "a.zip"], [], None, 2)
     above = windowed.recorded_of(windowed.runs[0], "beyond").emcc_above
     assert {*above(0.0).values()} == {None}
+    never = np.zeros(own.runs[0].records.total_steps)  # a run that touches nothing
+    kept_of_it = recorded.packed(never, own.runs[0].records)
+    for threshold in (0.0, 5.0):
+        exact = recorded.of_steps(never, own.runs[0].records, None).emcc_above(threshold)
+        assert recorded.unpacked(kept_of_it, "", None).emcc_above(threshold) == exact
     monkeypatch.setattr(Pressed, "recorded_info", {})
     without = agents.train("sac-lag", "Pressed-v0", out=tmp_path / "b", **more)
     with np.load(without.folder / "results.npz") as fewer:
