@@ -24,7 +24,7 @@ def test_measures_of_recorded_steps(tmp_path, records, monkeypatch):
     folder.mkdir(parents=True)
     end = np.tile([False, True], 40)
     np.savez(folder / "steps.npz", reward=rewards.ravel(), cost=costs.ravel(), end=end)
-    monkeypatch.setattr(omnisafe_parity, "read", lambda *_: [])
+    monkeypatch.setattr(omnisafe_parity, "read_groups", lambda *_: [])
     omnisafe_parity.take_in(tmp_path)
     found = omnisafe_parity.measured(omnisafe_parity.runs("omnisafe", "cpo"))
     assert {name: values.tolist() for name, values in found.items()} == {

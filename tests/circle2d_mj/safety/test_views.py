@@ -92,7 +92,7 @@ def test_the_hopper_shows_its_height():
 def test_scenes_without_hazards_have_no_view():
     for name in set(SAFETY) - set(SHOWN):
         assert gym.make(name).get_wrapper_attr("view") is None
-    assert len(SHOWN) == 36
+    assert len(SHOWN) == 56
 
 
 @pytest.mark.parametrize("name", SHOWN)
