@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
@@ -39,7 +39,7 @@ class Circle2D:
         self.moving: NDArray[np.intp] | None = None
         self.info_keys = ("cost", *self.recorded_info, *self.state_info())
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
-        self.observation_space: Box = Box(-bounds, bounds)
+        self.observation_space: Space[Any] = Box(-bounds, bounds)
         self.action_space: Box = Box(-1.0, 1.0, (2,), np.float32)
         # The dynamics hold all of the state.
         self.start, self.observe = dynamics.start, dynamics.observe
