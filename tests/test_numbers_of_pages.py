@@ -398,7 +398,7 @@ def test_pages_made_again_do_not_differ(name):
 
 
 def test_the_grid_s_page_on_the_later_library():
-    numbers = results_pages.library()
+    numbers = results_pages.numbers_of_library()
     told(
         "results/README.md",
         f"in {count(numbers['nearer'].as_later)} measures, and "

@@ -1,5 +1,5 @@
-"""What tables tell of a number that a task has recorded at each step: from the steps, or from an
-archive, which keeps no steps."""
+"""Statistics, for tables, of a number that a task has recorded at each step: from the steps, or
+from an archive, which keeps no steps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Recorded(NamedTuple):
     """A number of a run's steps. Rows are the thirds of training, and the last steps after them."""
 
     lowest: float
-    """Of all steps."""
+    """The smallest value, of all steps."""
     steps: NDArray[np.int64]
     """[4]"""
     values: NDArray[np.float64]

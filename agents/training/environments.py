@@ -125,7 +125,7 @@ def most_steps(*limits: int | None) -> int:
 
 
 class Looks(NamedTuple):
-    """What a task's environment says of itself."""
+    """View and recorded numbers that a task's environment declares."""
 
     view: View | None
     """Its attribute `view`; None where it has none."""
@@ -134,7 +134,7 @@ class Looks(NamedTuple):
 
 
 def looks_of(task: str, parameters: dict[str, Any]) -> Looks:
-    """What a registered task says of itself, nothing of another: no module is imported for it.
+    """The declarations of a registered task, empty for another: no module is imported for it.
     Raises UserError where the task cannot be made."""
     with _one(task, parameters) as env:
         return Looks(_view(env), {} if env is None else recorded_info(env))

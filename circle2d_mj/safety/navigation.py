@@ -263,7 +263,7 @@ class NavigationTask(MuJoCoTask):
         return np.concatenate(read, axis=1)
 
     def _see(self) -> NDArray[np.uint8]:
-        """What the agents' cameras see: [num_envs, height, width, 3]."""
+        """Pictures of the agents' cameras: [num_envs, height, width, 3]."""
         assert self.vision_size is not None
         if self._eye is None:
             self._eye = Offscreen(self.picture_model, *self.vision_size)

@@ -15,14 +15,20 @@ Eye = tuple[tuple[float, float, float], tuple[float, ...], float]
 
 
 class _Agent:
-    """What agents have in common."""
+    """Common part of the agents."""
 
+    sensors: int
     bounds: tuple[float, ...] = ()
     """Greatest size of each action; none: 1 of all"""
     noise = 0
     """How many numbers in [0, 1) its start takes, besides place and heading"""
     lowest: float | None = None
     """Height of its origin, m, at or below which the episode ends; None: it never does."""
+
+    def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
+        """Return the agent's numbers of the observation, [n, any] side by side: the values of its
+        sensors, [n, >= sensors]. rotations: of its bodies."""
+        return (sensed[:, : self.sensors],)
 
 
 class Point(_Agent):
@@ -62,11 +68,6 @@ class Point(_Agent):
         position = np.empty((len(qpos), 3))
         position[:, :2], position[:, 2] = qpos[:, :2], self.height
         return position
-
-    def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
-        """Return the observation's first 12 numbers, [n, any] side by side, of MuJoCo's sensors
-        [n, >= 12] and rotations of the agent's bodies."""
-        return (sensed[:, : self.sensors],)
 
 
 class _Free(_Agent):
@@ -186,11 +187,6 @@ class Racecar(_Free):
     stride = 0.1
     bounds = 20.0, float(np.float32(0.785))
     eye: Eye = ((0.2, 0, 0.05), (8e-4, -1, 8e-4, 0, 8e-4, 1), 45)
-
-    def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
-        """Return the observation's first 12 numbers, [n, any] side by side, of MuJoCo's sensors
-        [n, >= 12] and rotations of the agent's bodies."""
-        return (sensed[:, : self.sensors],)
 
 
 class Ant(_Free):

@@ -43,7 +43,7 @@ class RungeKutta(Substeps):
     """
 
     _STAGES = ((0.5, 1 / 3), (0.5, 1 / 3), (1.0, 1 / 6))
-    """Of the second to the fourth: the share of the substep at whose end it is, and its weight"""
+    """Share of the substep at whose end each of the second to fourth stages is, and its weight"""
 
     def __init__(self, batch: Batch, model: mujoco.MjModel) -> None:
         super().__init__(batch)
@@ -53,12 +53,12 @@ class RungeKutta(Substeps):
         self._mocap_pos = batch.bind("mocap_pos")
 
     def take(self, index: NDArray[np.intp] | None = None) -> None:
-        """See `Substeps.take`."""
+        """Take the substeps, as `Substeps.take`."""
         for _ in range(SUBSTEPS):
             self._substep(index)
 
     def follow(self, index: NDArray[np.intp], targets: Floats) -> None:
-        """See `Substeps.follow`."""
+        """Take them with moving targets, as `Substeps.follow`."""
         shape = self._mocap_pos[index].shape
         for k in range(SUBSTEPS):
             self._mocap_pos[index] = targets[:, k].reshape(shape)

@@ -55,7 +55,7 @@ def distances(algorithm: str, sides: Mapping[str, Runs]) -> pd.DataFrame:
     return pd.concat(found)
 
 
-def library() -> dict[str, Any]:
+def numbers_of_library() -> dict[str, Any]:
     """CPO as in a later library beside its preset, units of length alone, and the paper."""
     lines = report("circle2d")
     sides: dict[str, Runs] = {
@@ -97,7 +97,7 @@ def library() -> dict[str, Any]:
     }
 
 
-PAGES = {"library": library}
+PAGES = {"library": numbers_of_library}
 """The numbers of each page, a folder of results/."""
 
 

@@ -306,8 +306,8 @@ def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
 @functools.cache
 def late_costs(task: str) -> pd.DataFrame:
     """By algorithm, in the last third of training on a Safety task, means over seeds: "rate", the
-    cost rate; "costing", the share of episodes that cost; "longest", of all costs the share in
-    their episode's longest streak; and "split", EMCC with ties split."""
+    cost rate; "costing", the share of episodes that cost; and "longest", of all costs the share in
+    their episode's longest streak."""
     rows = []
     for group in read_groups(
         [RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []
@@ -316,7 +316,7 @@ def late_costs(task: str) -> pd.DataFrame:
             late = run.records.by_part(run.total_steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
             shares = {"costing": (late.cost > 0).mean(), "longest": longest}
-            shares |= {"rate": run.measures["rate_0.99"], "split": run.measures["EMCC_0.99"]}
+            shares |= {"rate": run.measures["rate_0.99"]}
             rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
     return pd.DataFrame(rows).groupby("algorithm").mean()
 

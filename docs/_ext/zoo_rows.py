@@ -85,13 +85,14 @@ def row(folder: Path) -> dict[str, object]:
 def curves(folder: Path) -> pd.DataFrame:
     """Return and cost of training's episodes: `POINTS` rows, the mean of the runs' means and the
     lowest and highest of these."""
-    episodes = agents.load_runs(folder).to_pandas("episodes")
+    runs = agents.load_runs(folder)
+    episodes = runs.to_pandas("episodes")
     end = episodes.start_step.max() + 1
     step = (episodes.start_step * POINTS // end).rename("step")
     of_runs = episodes.groupby(["seed", step])[["return", "cost"]].mean().groupby("step")
     found = of_runs.agg(["mean", "min", "max"]).round(3)
     found.columns = ["_".join(names) for names in found.columns]
-    task = agents.load_runs(folder).config.tasks[0].rpartition("/")[2]
+    task = runs.config.tasks[0].rpartition("/")[2]
     found.index = ((found.index + 0.5) * end / POINTS).astype(int)
     return found.rename_axis("step").reset_index().assign(task=task)
 

@@ -99,7 +99,7 @@ def test_an_archive_gives_what_the_folders_gave(runs, packed, tmp_path):
 
 
 def write_old_archive(path, folder):
-    """As versions before 0.4 wrote them: bits of all steps, and no updates."""
+    """Write an archive of versions before 0.4: bits of all steps, and no updates."""
     with zipfile.ZipFile(path, "w") as archive:
         for file in sorted(folder.rglob("config.json")):
             own = file.parent.relative_to(folder)
@@ -144,7 +144,7 @@ def test_an_old_archive_is_converted_without_changing_a_number(runs, tmp_path):
 
 @given(st.lists(st.floats(-1e6, 1e6).map(lambda x: round(x, 6)), min_size=1))
 def test_three_digits(values):
-    """As Python writes them, but halves; from float32, as archives hold them, the same again."""
+    """They are those that Python writes, but halves; from float32, as archives hold them, again."""
     found = three_digits(np.array(values))
     np.testing.assert_allclose(found, [float(f"{x:.3g}") for x in values], rtol=0.0101)
     np.testing.assert_allclose(found, values, rtol=0.00501)
@@ -153,7 +153,7 @@ def test_three_digits(values):
 
 @given(st.lists(st.floats(-1e6, 1e6).map(lambda x: round(x, 6)), min_size=1))
 def test_returns_to_three_digits_of_the_largest(values):
-    """As decimal arithmetic rounds; what is rounded stays as it is, by whole numbers below 1000."""
+    """They are rounded as decimals; what is rounded stays, held by whole numbers below 1000."""
     whole, scale = thousandths(np.array(values))
     largest = max(map(abs, values))
     if largest:

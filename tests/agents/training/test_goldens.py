@@ -24,7 +24,7 @@ GOLDEN = json.loads(
 
 
 def records(algorithm, epochs, folder):
-    """What a training of seed 0 records of each of its first epochs."""
+    """Records of the first epochs of a training of seed 0."""
     config = preset(algorithm, TASK)
     if hasattr(config, "random_steps"):
         config = replace(config, random_steps=0)

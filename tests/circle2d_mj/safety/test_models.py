@@ -17,7 +17,7 @@ GEOM += ("solimp", "solmix", "priority", "pos", "quat")
 ACTUATOR = ("trntype", "gear", "ctrlrange", "ctrllimited", "forcerange", "forcelimited")
 ACTUATOR += ("gaintype", "gainprm", "biastype", "biasprm", "dyntype")
 OF_A_FRAME = {"size", "pos", "quat"}
-"""What of a mesh depends on the frame that MuJoCo chose for it"""
+"""Parameters of a mesh that depend on the frame that MuJoCo chose for it"""
 OPTION = ("timestep", "integrator", "solver", "iterations", "cone", "jacobian", "gravity", "wind")
 OPTION += ("magnetic", "density", "viscosity", "impratio", "enableflags")
 
