@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -306,8 +305,7 @@ def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
 @functools.cache
 def late_costs(task: str) -> pd.DataFrame:
     """By algorithm, in the last third of training on a Safety task, means over seeds: "rate", the
-    cost rate; "costing", the share of episodes that cost; and "longest", of all costs the share in
-    their episode's longest streak."""
+    cost rate, and "longest", of all costs the share in their episode's longest streak."""
     rows = []
     for group in read_groups(
         [RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []
@@ -315,8 +313,7 @@ def late_costs(task: str) -> pd.DataFrame:
         for run in group.runs:
             late = run.records.by_part(run.total_steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
-            shares = {"costing": (late.cost > 0).mean(), "longest": longest}
-            shares |= {"rate": run.measures["rate_0.99"]}
+            shares = {"longest": longest, "rate": run.measures["rate_0.99"]}
             rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
     return pd.DataFrame(rows).groupby("algorithm").mean()
 
@@ -435,15 +432,15 @@ def solving() -> list[str]:
     return rows
 
 
-def compared(levels: Sequence[str] = LEVELS, units: str = UNITS) -> list[str]:
+def compared() -> list[str]:
     """A row for each measure: its mean over the levels for SAC-LB in units of length and for
     SAC-LB-Streak, with the p value over all levels (permutation test, runs exchanged within a
     level), corrected for the rows (Holm)."""
     lines, both, tests = report("solve"), {}, {}
     for name in (*SAFETY_MEASURES, "mean_streak", "J_R", "J_C"):
         sides = [
-            np.transpose([runs(lines, task, which)[name].to_numpy() for task in levels])
-            for which in (units, "SAC-LB-Streak")
+            np.transpose([runs(lines, task, which)[name].to_numpy() for task in LEVELS])
+            for which in (UNITS, "SAC-LB-Streak")
         ]
         both[name] = [short(side.mean(), 3) for side in sides]
         tests[name] = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
