@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -15,8 +17,12 @@ import scipy.stats
 
 import emcc
 from agents import algorithms
+from agents.paper.grid import PAPER_ALGORITHMS
 from agents.results.reading import read_groups
 
+Key = TypeVar("Key", bound=Hashable)
+Levels = Sequence[pd.DataFrame]
+"""The runs of each level."""
 RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 SAFETY_MEASURES = (*EMCC, "cost_rate")
@@ -25,7 +31,7 @@ MEASURES = [*SAFETY_MEASURES, "J_R", "J_C", "CVaR_0.5"]
 LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
 PHYSICS = {f"Circle2DMuJoCo-{level}-v0": f"Circle2D-{level}-v0" for level in range(4)}
 """Levels of the grid with physics, and the same without."""
-ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
+ALGORITHMS = tuple(map(algorithms.title, PAPER_ALGORITHMS))
 LIMIT, SAFETY_LIMIT, STEPS = 5.0, 25.0, 1_000_000
 BENCHMARK_STEPS = " (1,000,000 steps)"
 """Behind the names on SafetyPointGoal1-v0, where the paper's runs are ten times as long."""
@@ -132,6 +138,19 @@ def p_value(value: float) -> str:
     return "p = 1" if value > 0.9995 else f"p = {short(value, 3)}"
 
 
+def holm(tests: Mapping[Key, float]) -> dict[Key, float]:
+    """The p values of a table's tests, corrected for their number."""
+    return dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
+
+
+def difference(usual: Levels, other: Levels, measure: str) -> tuple[float, float]:
+    """How much higher a mean over levels is in the other runs, with the p value of a permutation
+    test in which runs are exchanged within a level."""
+    sides = [np.transpose([own[measure].to_numpy() for own in side]) for side in (usual, other)]
+    p = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
+    return sides[1].mean() - sides[0].mean(), p
+
+
 def means(found: pd.DataFrame, digits: int = 2) -> list[str]:
     """EMCC by third and cost rate, to some digits, J_R and J_C."""
     mean = found[[*SAFETY_MEASURES, "J_R", "J_C"]].mean()
@@ -225,19 +244,13 @@ def physics_against_kinematic() -> list[str]:
         key = name, words
         having = [runs(lines, task, name) for task, _ in levels[words]]
         without = [runs(kinematic, task, name) for _, task in levels[words]]
-        for measure in SAFETY_MEASURES:
-            sides = [
-                np.transpose([own[measure].to_numpy() for own in side])
-                for side in (without, having)
-            ]
-            gaps[key, measure] = sides[1].mean() - sides[0].mean()
-            rng = np.random.default_rng(0)
-            tests[key, measure] = emcc.permutation_test(*sides, rng=rng)
+        for m in SAFETY_MEASURES:
+            gaps[key, m], tests[key, m] = difference(without, having, m)
         counts[key] = [
             f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
             for chosen in (solved, within)
         ]
-    p = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
+    p = holm(tests)
     return [
         _row(*key, *(f"{_gap(gaps[key, m])} ({_p(p[key, m])})" for m in SAFETY_MEASURES), *told)
         for key, told in counts.items()
@@ -342,8 +355,7 @@ def safety_orders() -> list[str]:
             scipy.stats.spearmanr(late, means.J_R),
         )
     asked = [(task, k) for task in told if task != POINT_GOAL for k in range(2)]
-    ps = [told[task][k].pvalue for task, k in asked]
-    p = dict(zip(asked, emcc.holm(ps).tolist(), strict=True))
+    p = holm({(task, k): told[task][k].pvalue for task, k in asked})
     return [
         _row(
             task.split("/")[1],
@@ -437,14 +449,11 @@ def compared() -> list[str]:
     SAC-LB-Streak, with the p value over all levels (permutation test, runs exchanged within a
     level), corrected for the rows (Holm)."""
     lines, both, tests = report("solve"), {}, {}
+    sides = [[runs(lines, task, which) for task in LEVELS] for which in (UNITS, "SAC-LB-Streak")]
     for name in (*SAFETY_MEASURES, "mean_streak", "J_R", "J_C"):
-        sides = [
-            np.transpose([runs(lines, task, which)[name].to_numpy() for task in LEVELS])
-            for which in (UNITS, "SAC-LB-Streak")
-        ]
-        both[name] = [short(side.mean(), 3) for side in sides]
-        tests[name] = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
-    corrected = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
+        both[name] = [short(pd.concat(side)[name].mean(), 3) for side in sides]
+        _, tests[name] = difference(*sides, name)
+    corrected = holm(tests)
     return [_row(name, *both[name], p_value(corrected[name])) for name in both]
 
 
@@ -460,22 +469,14 @@ def parts() -> list[str]:
         counts[part] = count(good[0])
         table = [[int(chosen.sum()), int((~chosen).sum())] for chosen in good]
         of_counts[part] = float(scipy.stats.fisher_exact(table).pvalue)
-        for name in SAFETY_MEASURES:
-            without, usual = (
-                np.transpose([side[name].to_numpy() for side in of_levels]) for of_levels in sides
-            )
-            gaps[part, name] = without.mean() - usual.mean()
-            rng = np.random.default_rng(0)
-            of_gaps[part, name] = emcc.permutation_test(usual, without, rng=rng)
-    holm = [
-        dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
-        for tests in (of_counts, of_gaps)
-    ]
+        for m in SAFETY_MEASURES:
+            gaps[part, m], of_gaps[part, m] = difference(*sides[::-1], m)
+    p, of_counts = holm(of_gaps), holm(of_counts)
     return [
         _row(
             title,
-            f"{counts[part]} ({_p(holm[0][part])})",
-            *(f"{_gap(gaps[part, m])} ({_p(holm[1][part, m])})" for m in SAFETY_MEASURES),
+            f"{counts[part]} ({_p(of_counts[part])})",
+            *(f"{_gap(gaps[part, m])} ({_p(p[part, m])})" for m in SAFETY_MEASURES),
         )
         for part, title in PARTS.items()
     ]
