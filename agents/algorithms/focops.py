@@ -16,11 +16,14 @@ from agents.algorithms import Algorithm
 from agents.checks import In
 from agents.first_order import FirstOrder, FirstOrderConfig, Minibatch, Objective, mean
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.on_policy.state import Gaussian, StreakLimit
+from agents.lockstep.streaks import StreakTailLimit
+from agents.on_policy.state import EpisodeCostLimit, Gaussian
 
 
 @dataclass(frozen=True)
-class ProjectedMultiplierConfig(MultiplierConfig, StreakLimit, FirstOrderConfig):
+class ProjectedMultiplierConfig(
+    MultiplierConfig, StreakTailLimit, EpisodeCostLimit, FirstOrderConfig
+):
     """Hyper-parameters that FOCOPS and CUP share, equal in both papers' code."""
 
     limit_of: Literal["discounted", "episode"] = "episode"

@@ -13,11 +13,12 @@ from agents.algorithms import Algorithm
 from agents.algorithms.trpo_lag import advantage
 from agents.first_order import FirstOrder, Objective, PPOConfig
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.on_policy.state import StreakLimit
+from agents.lockstep.streaks import StreakTailLimit
+from agents.on_policy.state import EpisodeCostLimit
 
 
 @dataclass(frozen=True)
-class PPOLagConfig(MultiplierConfig, StreakLimit, PPOConfig):
+class PPOLagConfig(MultiplierConfig, StreakTailLimit, EpisodeCostLimit, PPOConfig):
     """Hyper-parameters of PPO-Lag."""
 
     initial_multiplier: Annotated[float, Gain] = 0.001

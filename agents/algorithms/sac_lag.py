@@ -16,13 +16,14 @@ from agents.algorithms import Algorithm
 from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import SOFTPLUS, Multiplier
 from agents.lockstep.pulled import Pull, closed_form
+from agents.lockstep.streaks import StreakTailLimit
 from agents.sac import CostRule, MultiplierOfConfig, OffPolicy, SACConfig
 from agents.sac.replay import Batch
 from agents.sac.update import mean, shares
 
 
 @dataclass(frozen=True)
-class SACLagConfig(MultiplierOfConfig):
+class SACLagConfig(StreakTailLimit, MultiplierOfConfig):
     """Hyper-parameters of SAC-Lag.
 
     The multiplier is β = softplus(parameter): 0.69 for the parameter 0 it starts from.

@@ -12,23 +12,37 @@ from typing import Annotated
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import critic_loss, risk
 from agents.checks import In
+from agents.lockstep.backend import tensor
 from agents.lockstep.kernel import Float
 from agents.lockstep.pulled import Pull, closed_form
+from agents.lockstep.streaks import StreakLimit
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 
 
 @dataclass(frozen=True)
-class SACLBConfig(ConstrainedSACConfig):
+class SACLBConfig(StreakLimit, ConstrainedSACConfig):
     """Hyper-parameters of SAC-LB."""
 
     log_barrier_factor: Annotated[float, In(1e-3, 1e3)] = 3.0
     """Factor t of the barrier: the larger, the closer to a wall at the limit. Paper: 3 (printed in
     SAC-Lag's column of table HP_Circle2D; it can only be SAC-LB's)."""
+    streak_limit: Annotated[float, In(0, 1e9)] | None = None
+    """Limit, in steps, of the discounted `record_cost` that its critics expect, by how much the
+    longest streak of an episode still grows: a second cost with a barrier of its own. Policy and
+    critics then see the streak so far and the longest so far, both over 20. Not in the paper; None:
+    none."""
+
+    @property
+    def limits(self) -> NDArray[np.float32]:
+        """Of each cost, [C, 1]."""
+        streaks = [] if self.streak_limit is None else [self.streak_limit]
+        return np.array([self.cost_limit, *streaks], np.float32)[:, None]
 
 
 def log_barrier(z: Tensor, t: float) -> Tensor:
@@ -45,13 +59,13 @@ def log_barrier(z: Tensor, t: float) -> Tensor:
 
 
 def penalty(config: SACLBConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
-    """`ψ(max Q_c - d)`."""
-    return log_barrier(risk - config.cost_limit, config.log_barrier_factor)
+    """`ψ(max Q_c - d)`, of each cost."""
+    return log_barrier(risk - tensor(config.limits), config.log_barrier_factor)
 
 
 @closed_form(penalty)
 def _penalty(config: SACLBConfig, risk: Float, multipliers: Float) -> tuple[Float, Pull]:
-    z, t = risk - config.cost_limit, config.log_barrier_factor
+    z, t = risk - config.limits, config.log_barrier_factor
     switch = -1.0 / t**2
     inside, tangent = z.clip(max=switch), t * z - math.log(-switch) / t + 1.0 / t
     values = np.where(z <= switch, -np.log(-inside) / t, tangent)

@@ -55,8 +55,8 @@ class SACLBStreakConfig(SACLBConfig):
     SAC-LB: 0."""
     streak_weight: Annotated[float, In(0, 1e6)] = 0.25
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
-    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. The
-    paper's SAC-LB: 0."""
+    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. 0 with a
+    `streak_limit`, which limits the longest streak without a weight. The paper's SAC-LB: 0."""
 
 
 ALGORITHM = Algorithm("SAC-LB-Streak", SACLBStreakConfig, RULE, OffPolicy)

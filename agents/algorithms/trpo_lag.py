@@ -14,12 +14,12 @@ from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.on_policy.state import StreakLimit
+from agents.lockstep.streaks import StreakTailLimit
 from agents.trust_region import Problem, Step, StepRule, TRPOConfig, TrustRegion
 
 
 @dataclass(frozen=True)
-class TRPOLagConfig(MultiplierConfig, StreakLimit, TRPOConfig):
+class TRPOLagConfig(MultiplierConfig, StreakTailLimit, TRPOConfig):
     """Hyper-parameters of TRPO-Lag."""
 
     initial_multiplier: Annotated[float, Gain] = 0.001

@@ -162,17 +162,21 @@ def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int
 
 def with_streaks(rule: Any, config: Any) -> Any:
     """The rule of an algorithm whose config has a `streak_limit`: with one cost more, behind its
-    own, and a multiplier for it that is like its last one; of any other the rule itself.
+    own, and a multiplier for it that is like its last one, if there is one; of any other the rule
+    itself.
 
-    Raises UserError for a rule without a multiplier, or whose multiplier has a law of its own.
+    Raises UserError for a rule whose multiplier has a law of its own.
     """
     if getattr(config, "streak_limit", None) is None:
         return rule
-    if not rule.multipliers or rule.multipliers[-1].form.law:
-        raise UserError("streak_limit needs an algorithm whose multiplier follows an optimizer")
+    more = rule._replace(costs=rule.costs + 1)
+    if not rule.multipliers:
+        return more._replace(limits=(*rule.limits, "streak_limit"))
     like = rule.multipliers[-1]
+    if like.form.law:
+        raise UserError("streak_limit needs an algorithm whose multiplier follows an optimizer")
     added = like._replace(signal=rule.costs, limit="streak_limit", discounted=False)
-    return rule._replace(costs=rule.costs + 1, multipliers=(*rule.multipliers, added))
+    return more._replace(multipliers=(*rule.multipliers, added))
 
 
 def limit_names(rule: Any, config: Any) -> dict[int, str]:

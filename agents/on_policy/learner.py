@@ -19,9 +19,9 @@ from agents.lockstep.descent import Descent, Squared, orders
 from agents.lockstep.nets import Moments
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
+from agents.lockstep.streaks import StreakTail
 from agents.on_policy.epoch import EpochData, Packing, advantages
 from agents.on_policy.state import OnPolicyState, initial_state, make_nets
-from agents.on_policy.tail import StreakTail
 
 
 class OnPolicy(ABC):

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.checks import In, Settings
-from agents.errors import UserError
 from agents.lockstep import lagrange
 from agents.lockstep.backend import tensor
 from agents.lockstep.descent import LANES
@@ -28,8 +27,6 @@ from agents.lockstep.nets import (
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.normalizer import InputConfig, Inputs
 from agents.lockstep.rollout import Policy, critic_inputs
-from emcc.augmented import augmented
-from emcc.streak_cost import Longest, record_name
 
 
 class Gaussian(NamedTuple):
@@ -158,46 +155,6 @@ class EpisodeCostLimit(Settings):
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
     paper; 0: none."""
-
-
-class Streaks(Longest):
-    """Streaks of a task in which an episode of a wrong cost is void, and named."""
-
-    strict = False
-
-
-@dataclass(frozen=True)
-class StreakLimit(EpisodeCostLimit):
-    """A second constraint, of the on-policy algorithms with a multiplier: the longest streak."""
-
-    streak_limit: Annotated[float, In(0, 1e9)] | None = None
-    """Limit, in steps, of the longest streak of cost steps in an episode, mean over an epoch's
-    episodes: a second cost, `record_cost`, with a multiplier of its own. Policy and critics then
-    see the streak so far and the longest so far, both over 20. Not in the paper; None: none."""
-    streak_alpha: Annotated[float, In(above=0, high=1)] = 1.0
-    """Share α of episodes, those with the longest streaks, whose mean `streak_limit` limits: CVaR_α
-    of the longest streak, by its quantile in the run's last 100 episodes. Not in the paper; 1: all
-    of them."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        if self.streak_limit is None and self.streak_alpha != 1:
-            raise UserError(f"streak_alpha needs a streak_limit, got {self.streak_alpha} alone")
-        if self.streak_limit is not None and self.streak_weight:
-            raise UserError(
-                "streak_weight must be 0 with a streak_limit, whose cost has no weight, "
-                f"got {self.streak_weight}"
-            )
-
-    def added_costs(self, costs: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the costs that `wrap` adds."""
-        return () if self.streak_limit is None else (record_name(costs[0]),)
-
-    def wrap(self, env: Any, costs: tuple[str, ...], time_limit: int | None) -> Any:
-        """The environment whose observations end with the streaks of the first cost, where they
-        are limited."""
-        return env if self.streak_limit is None else augmented(env, Streaks(cost=costs[0]))
 
 
 class OnPolicyState(NamedTuple):

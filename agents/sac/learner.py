@@ -24,6 +24,7 @@ from agents.lockstep.noise import (
 )
 from agents.lockstep.normalizer import Inputs
 from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, learned
+from agents.lockstep.streaks import SEEN, StreakTail, longest_at_records, with_last_cost
 from agents.sac import update as sac
 from agents.sac.replay import STARTS, Batch, Novelty, Recent, Replay, ReturnScale
 from agents.sac.update import SACConfig
@@ -56,6 +57,7 @@ class OffPolicy:
         observation_size: int,
         action_size: int,
     ) -> None:
+        rule = lagrange.with_streaks(rule, config)
         sac.check_rule(config, rule)
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes = 1
@@ -69,8 +71,11 @@ class OffPolicy:
         self._kept = config.random_steps if config.random_share else 0
         sizes = (inputs, action_size, rule.costs)
         self._replay = Replay(len(seeds), config.replay_size, *sizes, self._kept)
+        limited = getattr(config, "streak_limit", None) is not None
+        alpha = getattr(config, "streak_alpha", 1.0)
+        self._tail = StreakTail(len(seeds), alpha) if limited else None
         self._novelty = (
-            Novelty(config.novelty_length, seeds, observation_size)
+            Novelty(config.novelty_length, seeds, observation_size - SEEN * limited)
             if config.novelty_bonus
             else None
         )
@@ -136,7 +141,11 @@ class OffPolicy:
             of_rewards, of_costs = "bootstrap", "terminal"
         ends = rollout.terminal(of_rewards), rollout.terminal(of_costs)
         rollout = learned(rollout, self.config, self.costs)._replace(length=length)
-        self._replay.add(rollout, *ends)
+        held = rollout
+        if self._tail:
+            self._tail.count(rollout)
+            held = with_last_cost(rollout, longest_at_records(rollout))
+        self._replay.add(held, *ends)
         if self._recent:
             self._recent.add(rollout)
         if self._novelty:
@@ -154,10 +163,11 @@ class OffPolicy:
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
         before, self._state, total = self._state, tree.copy(self._state), 0.0
+        longest = self._tail.recent if self._tail and self.rule.multipliers else None
         for index, noise in self._draws(epoch):
             batch = self._as_learned(self._replay.gather(index))
             what = (self.nets, self.config, self.rule, self._state)
-            self._state, metrics = sac.update(*what, batch, noise, self._followed(noise))
+            self._state, metrics = sac.update(*what, batch, noise, self._followed(noise), longest)
             total = total + _columns(metrics)
         means = total / self.config.gradient_steps
         self._control_multipliers(means[:, -1 - self.costs : -1])
@@ -178,7 +188,11 @@ class OffPolicy:
 
     def _as_learned(self, batch: Batch) -> Batch:
         """The batch with its rewards in the running scale, and with `novelty_bonus`, by what the
-        runs have seen until now, and its observations as networks see them."""
+        runs have seen until now, its record costs beyond the quantile of now, and its observations
+        as networks see them."""
+        if self._tail:
+            beyond = self._tail.beyond(batch.cost[:, -1])
+            batch = batch._replace(cost=np.concatenate([batch.cost[:, :-1], beyond[:, None]], 1))
         if self._scale:
             batch = batch._replace(reward=self._scale.of(batch.reward))
         if self._novelty:
@@ -233,8 +247,8 @@ class OffPolicy:
         return (low + share * (high - low)).astype(np.int64)
 
     @property
-    def _parts(self) -> dict[str, Replay | Recent | Novelty | ReturnScale]:
-        parts = {"replay": self._replay, "recent": self._recent}
+    def _parts(self) -> dict[str, Replay | Recent | Novelty | ReturnScale | StreakTail]:
+        parts = {"replay": self._replay, "recent": self._recent, "streaks": self._tail}
         parts |= {"novelty": self._novelty, "scale": self._scale}
         return {name: part for name, part in parts.items() if part is not None}
 

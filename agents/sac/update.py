@@ -508,6 +508,7 @@ def update(
     batch: Batch,
     noise: UpdateNoise,
     followed: Float | None = None,
+    longest: NDArray[np.float64] | None = None,
 ) -> tuple[SACState, dict[str, Float]]:
     """One gradient step of critics, actor, temperature and multiplier, in this order.
 
@@ -515,9 +516,10 @@ def update(
     `critic_slope` against `r + γ (min Q' - α log π)`, the actor's is `E[α log π - min Q +
     penalty(risk)]` over actions drawn anew. Networks are the kernel's. Temperature and multiplier
     see the actions that the actor's step was computed from; followed: [R, C], what multipliers
-    follow instead of the batch's risk. Changes the arrays of the state but the multipliers' in
-    place. Returns the state with them, and for the records, means over the batch: [R], multipliers
-    [R, M], risks, those that are followed [R, C].
+    follow instead of the batch's risk; longest: [R], what the last of them follows whatever the
+    others do. Changes the arrays of the state but the multipliers' in place. Returns the state with
+    them, and for the records, means over the batch: [R], multipliers [R, M], risks, those that are
+    followed [R, C].
     """
     own, rate, count = kernel.of(state.actor), config.learning_rate, len(state.actor)
     temperature = np.exp(state.log_temperature)
@@ -546,6 +548,8 @@ def update(
     own.adam(state.actor, gradient, state.actor_moments, rate)
 
     risk = risk if followed is None else followed
+    if longest is not None:
+        risk = np.concatenate([risk[:, :-1], longest[:, None].astype(risk.dtype)], axis=1)
     metrics |= {
         "actor_loss": loss,
         "temperature": temperature[:, 0],

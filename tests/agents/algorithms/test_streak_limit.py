@@ -4,14 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_trainings import of_run, small, trainer
+import torch
+from small_trainings import assert_same, finished, of_run, small, trainer
 from toys import register
 
 import agents
+from agents.algorithms import algorithm
 from agents.errors import UserError
-from agents.lockstep import lagrange
+from agents.lockstep import lagrange, tree
+from agents.lockstep.pulled import pulled
 from agents.lockstep.rollout import Rollout, learned
-from agents.on_policy.tail import StreakTail
+from agents.lockstep.streaks import StreakTail
 from agents.training.config import TrainConfig
 from emcc import cvar, longest_streaks
 from emcc.streaks import record
@@ -134,6 +137,125 @@ def test_settings_that_are_not_allowed(tmp_path):
         agents.train("ppo-lag", streak_alpha=0.5, **out)
     with pytest.raises(UserError, match="streak_weight must be 0 with a streak_limit"):
         agents.train("ppo-lag", streak_limit=3.0, streak_weight=0.5, **out)
-    for name in ("cpo", "crpo", "ppo", "sac-lag"):
-        with pytest.raises(UserError, match=rf"{name} has no hyper-param.* it is of .*, cup"):
+    for name in ("cpo", "crpo", "ppo", "wcsac", "cal"):
+        with pytest.raises(UserError, match=rf"{name} has no hyper-param.* it is of .*, sac-pid"):
             agents.train(name, streak_limit=3.0, **out)
+    for name in ("sac-lb", "sac-lb-streak"):
+        with pytest.raises(UserError, match=f"{name} has no hyper-parameter 'streak_alpha'"):
+            agents.train(name, streak_limit=3.0, streak_alpha=0.5, **out)
+    with pytest.raises(UserError, match=r"streak_weight must be 0 .*, got 0\.25"):
+        agents.train("sac-lb-streak", streak_limit=3.0, **out)
+
+
+# Off-policy: one episode an epoch, a replay, and critics of the discounted record cost.
+
+OFF_POLICY = {"random_steps": 40, "gradient_steps": 1, "replay_size": 400}
+
+
+def epochs(it, count):
+    """Each epoch's rollout as the task gave it, state before, and whether each run learned."""
+    learn = it.learner.learn
+    for _ in range(count):
+        seen = []
+
+        def noted(rollout, epoch, active, seen=seen):
+            before = it.learner._state
+            metrics = learn(rollout, epoch, active)
+            seen += [rollout, before, np.isfinite(metrics).all(axis=1)]
+            return metrics
+
+        it.learner.learn = noted
+        it.run_epoch()
+        yield seen
+
+
+def quantile(longest, alpha):
+    """η of the last hundred, of which the share α is not below it, and no more is above."""
+    ordered = sorted(longest[-100:], reverse=True)
+    return ordered[int(alpha * len(ordered))] if alpha < 1 else 0
+
+
+@pytest.mark.parametrize("multiplier_of", ["replay", "start", "episode"])
+@pytest.mark.parametrize(("name", "alpha"), [("sac-lag", 1.0), ("sac-lag", 0.5), ("sac-pid", 0.25)])
+def test_off_policy_multipliers_follow_the_last_ten_episodes(name, alpha, multiplier_of):
+    """η + E[(L - η)₊] / α over them, whatever the cost's own multiplier follows: without α their
+    mean. SAC-Lag's parameter rises by its slope, σ(parameter), times the excess; the controller
+    adds its proportional gain times the excess to where it started."""
+    own = {"multiplier_of": multiplier_of, "streak_alpha": alpha, "streak_limit": 0.5}
+    if name == "sac-lag":
+        own |= {"multiplier_optimizer": "sgd", "multiplier_lr": 0.1}
+    own |= {"pid_ki": 0.0, "pid_kd": 0.0}
+    it = trainer(replace(config(name, **own, **OFF_POLICY), steps=10_000))
+    longest, compared = [[], []], 0
+    for rollout, before, learned_now in epochs(it, 30):
+        for run, length in enumerate(longest_of(rollout)):
+            longest[run].append(length)
+            if not learned_now[run]:
+                continue
+            level, ten = quantile(longest[run], alpha), np.array(longest[run][-10:])
+            excess = level + np.mean(np.maximum(ten - level, 0)) / alpha - 0.5
+            after = it.learner._state.multipliers[1]
+            if name == "sac-pid":
+                start = np.log(2)  # softplus(0), which the integral keeps
+                assert after.value[run, 0] == pytest.approx(max(start + 0.1 * excess, 0), rel=1e-5)
+            else:
+                start = before.multipliers[1].parameter[run, 0]
+                rise = 0.1 / (1 + np.exp(-start)) * excess
+                assert after.parameter[run, 0] == pytest.approx(start + rise, rel=1e-5, abs=1e-6)
+            compared += 1
+    assert compared > 20
+
+
+@pytest.mark.parametrize("alpha", [1.0, 0.4])
+def test_off_policy_critics_learn_the_record_cost_beyond_the_quantile_of_now(alpha):
+    """Of all transitions of the replay, old ones too: 1/α where the longest streak, m, grows beyond
+    η."""
+    it = trainer(replace(config("sac-lag", streak_alpha=alpha, **OFF_POLICY), seeds=(0,)))
+    grown, longest = [], []
+    for rollout, *_ in epochs(it, 12):
+        plain, costs = rollout.cost[: rollout.length[0], 0].T
+        assert costs.tolist() == record(plain).tolist()
+        grown += (costs * np.cumsum(costs)).tolist()
+        longest += longest_of(rollout).tolist()
+    slots = np.arange(len(grown))[None]
+    batch = it.learner._as_learned(it.learner._replay.gather(slots))
+    expected = (np.array(grown) > quantile(longest, alpha)) / alpha
+    assert 0 < expected.sum() < len(grown) / alpha
+    np.testing.assert_allclose(batch.cost[0, 1], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["sac-lag", "sac-pid", "sac-lb"])
+def test_off_policy_runs_alone_and_resumed(name, tmp_path):
+    """Bit for bit: a run beside another and alone, and one that goes on from its checkpoint."""
+    it = config(name, streak_alpha=0.5, **OFF_POLICY)
+    both = finished(trainer(it))
+    assert both.learner.costs == 2
+    assert_same(of_run(both, 1), of_run(finished(trainer(replace(it, seeds=(1,)))), 0))
+    half = trainer(it, tmp_path / "run")
+    while half.steps.min() < 200:
+        half.run_epoch()
+    half.save()
+    resumed = finished(trainer(it, tmp_path / "run"))
+    assert_same(*(tree.flatten(one.learner._state) for one in (both, resumed)))
+
+
+def test_a_barrier_for_each_limit_by_hand():
+    """t = 2, limits 5 and 3: z = -2 and 1 of the cost, -1 and 2 of the streak. Inside -log(-z) / 2,
+    beyond -1/4 the tangent 2 z + log(4)/2 + 1/2. As PyTorch differentiates it."""
+    rule = algorithm("sac-lb").rule
+    it = small("sac-lb", cost_limit=5.0, streak_limit=3.0, log_barrier_factor=2.0)
+    risk = np.array([[[3.0, 6.0], [2.0, 5.0]]])
+    value, pull = pulled(rule.penalty, it, risk, np.zeros((1, 0)))
+    tangent = np.log(4) / 2 + 0.5
+    np.testing.assert_allclose(value, [[[-np.log(2) / 2, 2 + tangent], [0, 4 + tangent]]])
+    leaf = torch.tensor(risk, requires_grad=True)
+    rule.penalty(it, leaf, torch.zeros(1, 0)).sum().backward()
+    np.testing.assert_allclose(pull(np.ones_like(risk)), leaf.grad)
+
+
+def test_the_bonus_for_new_states_does_not_count_streaks():
+    learner = trainer(config("sac-lb-streak", streak_weight=0.0, **OFF_POLICY)).learner
+    states = np.zeros((2, 3, 4), np.float32)
+    states[..., 2:] = np.arange(3)[:, None]
+    assert len(np.unique(learner._novelty.of(states)[0])) == 1
+    assert learner.nets.actor.sizes[0] == 4 and learner.costs == 2
