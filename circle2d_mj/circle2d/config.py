@@ -15,12 +15,12 @@ from circle2d_mj.circle2d.region import CostRegion, Rectangle, StartArea
 LEVELS = (0, 1, 2, 3)
 Camera = Literal["top", "side", "follow"]
 """Where MuJoCo's frames are seen from: above, the side, or behind the agent"""
-_STEP = 0.11
 _BOUNDS = {  # lowest value, whether it is allowed, and highest value
     "constraint_radius": (1e-100, True, 1e100),  # squares must stay finite
     "init_radius_multiplier": (0.0, False, 1e6),
     "corridor_height_factor": (0.0, False, 2.0),
     "cutout_depth": (0.0, False, 0.8),
+    "step_length": (0.0, False, 2.0),
     "init_region_size": (0.0, True, math.inf),
 }
 _SWITCHES = (
@@ -33,7 +33,8 @@ _SWITCHES = (
 
 @dataclass(frozen=True)
 class Circle2DConfig:
-    """One Circle2D task: its level, the paper's nine customization parameters, and `cutout_depth`.
+    """One Circle2D task: its level, the paper's nine customization parameters, `cutout_depth` and
+    `step_length`.
 
     Lengths are in world units; a factor multiplies `constraint_radius`, so the task is the same at
     any radius. Source: safe_exploration.tex, table "Circle2D environment customization parameters".
@@ -66,6 +67,9 @@ class Circle2DConfig:
     cutout_depth: float = 0.5
     """Depth of the top and bottom cut-outs (levels 2 and 3) as a multiple of R, in (0, 0.8]; the
     diagonal ones (level 3) are 0.6 times as deep. Neither is specified in the paper."""
+    step_length: float = 0.11
+    """Distance that a full action moves the agent along each axis in a step, as a multiple of R, in
+    (0, 2]. Not specified in the paper."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.level, Integral) or isinstance(self.level, bool):
@@ -114,8 +118,8 @@ class Circle2DConfig:
 
     @property
     def full_step(self) -> float:
-        """Distance that a full action moves the agent along each axis in a step, world units."""
-        return _STEP * self.constraint_radius
+        """`step_length` in world units."""
+        return self.step_length * self.constraint_radius
 
     @property
     def start_rectangle(self) -> Rectangle:

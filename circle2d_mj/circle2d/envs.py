@@ -120,7 +120,7 @@ class Circle2DVectorEnv(TaskVectorEnv):
     | | shape | meaning |
     | --- | --- | --- |
     | observation | [num_envs, 2] float32 | x and y over the arena's half-width, in [-1, 1] |
-    | action | [num_envs, 2] | step on x and y over 0.11 R, clipped to [-1, 1] |
+    | action | [num_envs, 2] | step on x and y over 0.11 R (`step_length`), clipped to [-1, 1] |
     | reward | [num_envs] float64 | minus the distance to the optimum over the half-diagonal |
     | `info["cost"]` | [num_envs] float64 | 1.0 where the move led into the cost region, else 0.0 |
 

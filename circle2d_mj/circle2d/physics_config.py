@@ -59,7 +59,7 @@ class PhysicsConfig:
     """Servo: force per difference of speed, N·s/m; None: 20."""
     max_speed: float | None = None
     """Speed that a full action asks for on each axis, m/s, with force that it reaches against the
-    damping; None: 0.11 R in a step."""
+    damping; None: `step_length` R in a step."""
     max_force: float | None = None
     """Greatest force of each actuator, N; None: servos have no limit, motors the thrust that holds
     max_speed against the damping."""

@@ -140,7 +140,7 @@ class Kinematic:
         self.position[index] = position
 
     def step(self, action: NDArray[np.float64]) -> Move:
-        """Move every agent: `p' = clip(p + 0.11·R·a, arena)`.
+        """Move every agent: `p' = clip(p + step_length·R·a, arena)`.
 
         action: [num_envs, 2], clipped to [-1, 1]. There is contact where the move ends in the cost
         region. Where that is rigid, such a move is taken back, and is a contact all the same.

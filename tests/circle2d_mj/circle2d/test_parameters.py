@@ -285,6 +285,7 @@ def test_what_just_fits_is_not_refused():
         ("constraint_radius", (-1.0, "3", float("nan"))),
         ("corridor_height_factor", (0, 2.1)),
         ("cutout_depth", (0, 0.81, "0.5", float("nan"))),
+        ("step_length", (0, 2.1, "0.1", float("nan"))),
         ("init_region_size", (-0.1, 4)),
         ("init_radius_multiplier", (0, 0.5, 0.9)),  # 0.9 leaves no feasible start
         ("optima_perturbation", ((10, 0), 3, (1, 2, 3), (1, "a"))),
@@ -296,6 +297,18 @@ def test_wrong_values_are_named(name, values):
     for value in values:
         with pytest.raises((TypeError, ValueError), match=f"{name}.*"):
             Circle2DConfig(**{name: value})
+
+
+@pytest.mark.parametrize("make", [Circle2DEnv, Circle2DMuJoCoEnv])
+def test_the_length_of_a_step(make):
+    """A full step along x is `step_length` radii; with physics once the agent is at full speed."""
+    for factor in (0.1, 0.2):
+        env, x = make(level=1, step_length=factor, constraint_radius=20.0), []
+        env.reset(seed=0)
+        for _ in range(6):
+            env.step(np.array([-1.0, 0.0]))
+            x.append(env.position[0])
+        assert np.diff(x)[-1] == pytest.approx(-factor * 20.0, rel=1e-3)
 
 
 def test_config_or_parameters_but_not_both():
