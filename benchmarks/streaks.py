@@ -1,0 +1,330 @@
+"""The longest streak as a constraint: the study. Its question and rule: results/streaks/README.md.
+
+    python benchmarks/streaks.py screen --out FOLDER
+    python benchmarks/streaks.py train --out FOLDER [--tasks TASK ...] [--arms ARM ...]
+    python benchmarks/streaks.py table --out FOLDER
+    python benchmarks/streaks.py analyse
+
+`screen` trains the candidates for the base learner and writes results/streaks/screening.csv, from
+which the rule chooses; `train` trains arms, on all cores. Both go on where they were interrupted,
+so that tasks and arms may be trained in several sessions, in one folder or, by `table --out A B`,
+in several. `table` writes a row for each run, results/streaks/runs.csv, and one archive for each
+arm into the folder; `analyse` makes results/streaks/analysis.md and curves.png of the rows of the
+tasks that are complete.
+"""
+
+import argparse
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import agents
+from agents.errors import UserError
+from agents.results.statistics import LEVEL
+from emcc import cost_rate, emcc
+from emcc.statistics import holm, mean_interval, permutation_test
+
+RESULTS = Path(__file__).parents[1] / "results" / "streaks"
+STEPS, WINDOW, ALPHA = 1_000_000, 10, 0.1
+COST_LIMIT = 25.0
+SHARED = {"preset": "none", "normalize_observations": True, "episodes": 10}
+"""Of every training."""
+
+CANDIDATES = {
+    "PPO-Lag": ("ppo-lag", {}),
+    "PPO-Lag, .1": ("ppo-lag", {"multiplier_lr": 0.1}),
+    "TRPO-Lag, .035": ("trpo-lag", {"multiplier_lr": 0.035}),
+    "TRPO-Lag, .1": ("trpo-lag", {"multiplier_lr": 0.1}),
+    "TRPO-PID": ("trpo-pid", {}),
+    "TRPO-PID, gentle": ("trpo-pid", {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}),
+}
+"""Base learners with the settings of their multipliers."""
+SCREENED_TASKS = ("SafetyPointGoal1-v0", "SafetyPointPush1-v0")
+"""Those that the constraint was designed on."""
+SCREENED_SEEDS = (100, 101, 102)
+MEETS = 1.1
+"""A candidate meets its limit where the cost is at most so many times it."""
+
+TASKS = (
+    *("SafetyPointCircle1-v0", "SafetyCarGoal1-v0", "SafetyPointButton1-v0"),
+    *("SafetyHopperVelocity-v1", "SafetyHalfCheetahVelocity-v1", *SCREENED_TASKS),
+)
+SEEDS = tuple(range(200, 210))
+CONTROL = {f"plain {limit:g}": {"cost_limit": limit} for limit in (25.0, 20.0, 15.0, 10.0, 5.0)}
+STREAKS = {f"streak {n:g}": {"streak_limit": n} for n in (20.0, 10.0, 5.0)}
+STREAKS |= {"tail 20": {"streak_limit": 20.0, "streak_alpha": 0.1}}
+ARMS = CONTROL | {"weight .1": {"streak_weight": 0.1}} | STREAKS
+PRIMARY = "streak 10"
+"""The arm that decides."""
+ENOUGH_TASKS = 4
+RETURN_MARGIN = 0.1
+"""Share of the return of `plain 25` by which a return may be lower and count as equal."""
+FAMILIES = {"plain": tuple(CONTROL), "streak": ("plain 25", *STREAKS)}
+"""Arms whose points are a family's front: five each."""
+VOLUMES = {"EMCC and return": ("EMCC", "return"), "EMCC and cost rate": ("EMCC", "rate")}
+
+
+def rows_of(folder, **about):
+    """A row for each complete run below a folder: measures of the last third of training, EMCC of
+    the others, and of the trained policy J_R and J_C."""
+    rows = []
+    for group in agents.load_runs(folder).results:
+        if group.cost != "cost":
+            continue
+        for run in group.runs:
+            parts = run.records.windows(WINDOW).by_part(run.total_steps)
+            tails = {k: emcc(part.mcc_per_rollout()[0], ALPHA) for k, part in parts.items()}
+            late = parts[0.99]
+            task = group.task.rpartition("/")[2]
+            own = {"task": task, **about, "seed": run.seed, "EMCC": tails[0.99]}
+            own |= {"rate": cost_rate(late.cost, late.length), "return": late.reward.mean()}
+            own |= {"cost": late.cost.mean(), "longest": late.longest_streak.mean()}
+            own |= {"EMCC_0.33": tails[0.33], "EMCC_0.66": tails[0.66]}
+            rows.append(own | {name: run.measures[name] for name in ("J_R", "J_C")})
+    return rows
+
+
+def choose(screening):
+    """The candidate of a table with the columns candidate, task, seed, cost and return.
+
+    Of those whose mean cost is at most `MEETS` times the limit on every task, the one with the
+    highest return over the task's best, mean over tasks; where there are none, the one whose
+    largest cost is lowest.
+    """
+    means = screening.groupby(["candidate", "task"])[["cost", "return"]].mean()
+    cost = means["cost"].unstack().max(axis=1)
+    returns = means["return"].unstack()
+    score = (returns / returns.max()).mean(axis=1)
+    meets = cost[cost <= MEETS * COST_LIMIT].index
+    return score[meets].idxmax() if len(meets) else cost.idxmin()
+
+
+def complete(table):
+    """The tasks of a table that have all arms with all seeds."""
+    asked = table[table["arm"].isin(ARMS) & table["seed"].isin(SEEDS)]
+    count = asked.drop_duplicates(["task", "arm", "seed"])["task"].value_counts()
+    return [task for task in TASKS if count.get(task, 0) == len(ARMS) * len(SEEDS)]
+
+
+def gaps(own, arm, column):
+    """A column of an arm's runs on a task less the control's curve of the same seed, [seeds]: its
+    five runs, linear in the cost rate between them, beyond them that of the last."""
+    found = []
+    for _, of_seed in own[own["seed"].isin(SEEDS)].groupby("seed"):
+        control = of_seed[of_seed["arm"].isin(CONTROL)].sort_values("rate")
+        run = of_seed[of_seed["arm"] == arm].iloc[0]
+        found.append(run[column] - np.interp(run["rate"], control["rate"], control[column]))
+    return np.array(found)
+
+
+def sign_test(values):
+    """The p value of the two-sided permutation test of mean 0, exact over all signs of [seeds]."""
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(values))))
+    means = np.abs(signs @ values)
+    return float(np.mean(means >= abs(values.sum()) * (1 - 1e-12)))
+
+
+def judge(table):
+    """A row for each task and arm that is no control's.
+
+    rate, low_rate, high_rate: its mean cost rate, and the control's lowest and highest; gap, low,
+    high, p: mean over seeds of `gaps` of EMCC, with the 95 % interval and the p value; of the
+    primary arm corrected over the tasks, of the others over these arms and tasks. return_gap,
+    return_low: likewise of the return. success: see the rule.
+    """
+    rows = []
+    for task in complete(table):
+        own = table[table["task"] == task]
+        means = own.groupby("arm")[["rate", "return"]].mean()
+        control = means.loc[list(CONTROL), "rate"]
+        for arm in [name for name in ARMS if name not in CONTROL]:
+            tails, returns = (gaps(own, arm, column) for column in ("EMCC", "return"))
+            by, of_return = mean_interval(tails), mean_interval(returns)
+            row = {"task": task, "arm": arm, "rate": means.loc[arm, "rate"]}
+            row |= {"low_rate": control.min(), "high_rate": control.max()}
+            row |= {"gap": by.value, "low": by.low, "high": by.high, "p": sign_test(tails)}
+            row |= {"return_gap": of_return.value, "return_low": of_return.low}
+            rows.append(row | {"margin": RETURN_MARGIN * abs(means.loc["plain 25", "return"])})
+    found = pd.DataFrame(rows)
+    primary = found["arm"] == PRIMARY
+    for part in (primary, ~primary):
+        found.loc[part, "p"] = holm(found.loc[part, "p"])
+    found["lower"] = (found["p"] <= LEVEL) & (found["gap"] < 0)
+    found["comparable"] = found["rate"].between(found["low_rate"], found["high_rate"])
+    found["as_good"] = found["return_low"] >= -found["margin"]
+    found["success"] = found["lower"] & found["comparable"] & found["as_good"]
+    return found
+
+
+def hypervolume(points):
+    """The share of the unit square that some points [N, 2], both coordinates to be low, dominate:
+    where neither coordinate is below theirs."""
+    area, lowest = 0.0, 1.0
+    for x, y in sorted(map(tuple, np.clip(points, 0.0, 1.0))):
+        area += max(lowest - y, 0.0) * (1.0 - x)
+        lowest = min(lowest, y)
+    return area
+
+
+def volumes(table):
+    """Of each pair of measures both families' hypervolumes, [seeds, tasks]. Measures are scaled to
+    [0, 1] by the lowest and the highest run of a task, whatever the arm; a return counts down."""
+    tasks = complete(table)
+    found = {name: {f: np.zeros((len(SEEDS), len(tasks))) for f in FAMILIES} for name in VOLUMES}
+    for column, task in enumerate(tasks):
+        own = table[table["task"] == task].set_index(["arm", "seed"])
+        numbers = own[["EMCC", "rate"]].assign(**{"return": -own["return"]})
+        spread = (numbers.max() - numbers.min()).replace(0, 1)
+        scaled = (numbers - numbers.min()) / spread
+        for name, pair in VOLUMES.items():
+            for family, arms in FAMILIES.items():
+                for row, seed in enumerate(SEEDS):
+                    points = scaled.loc[[(arm, seed) for arm in arms], list(pair)].to_numpy()
+                    found[name][family][row, column] = hypervolume(points)
+    return found
+
+
+def volume_rows(table):
+    """A row for each pair of measures: both families' means over seeds and tasks, and the p value
+    of the test that is stratified by tasks, corrected for the number of pairs."""
+    rng, rows = np.random.default_rng(0), []
+    for name, of in volumes(table).items():
+        p = permutation_test(of["plain"], of["streak"], rng=rng)
+        rows.append({"measures": name, "plain": of["plain"].mean(), "streak": of["streak"].mean()})
+        rows[-1]["p"] = p
+    found = pd.DataFrame(rows)
+    found["p"] = holm(found["p"])
+    return found
+
+
+def verdict(judged):
+    """The study's answer in a sentence."""
+    primary = judged[judged["arm"] == PRIMARY]
+    successes = primary.loc[primary["success"], "task"].tolist()
+    if len(primary) < len(TASKS) and len(successes) < ENOUGH_TASKS:
+        return f"Undecided: {len(primary)} of {len(TASKS)} tasks are complete."
+    answer = "Success" if len(successes) >= ENOUGH_TASKS else "No success"
+    names = f" ({', '.join(successes)})" if successes else ""
+    return f"{answer}: `{PRIMARY}` succeeds on {len(successes)} of {len(TASKS)} tasks{names}."
+
+
+def page(table):
+    """The analysis as Markdown."""
+    judged, means = judge(table), table[table["task"].isin(complete(table))]
+    order = [(task, arm) for task in complete(table) for arm in ARMS]
+    means = means.groupby(["task", "arm"])[["EMCC", "rate", "return", "longest", "J_R", "J_C"]]
+    parts = [f"# The longest streak as a constraint: analysis\n\n{verdict(judged)}\n"]
+    parts += ["## EMCC beside the control's curve\n", _markdown(judged)]
+    parts += ["## Hypervolumes\n", _markdown(volume_rows(table))]
+    parts += ["## Means over seeds\n", _markdown(means.mean().loc[order].reset_index())]
+    return "\n".join(parts)
+
+
+def _markdown(frame):
+    def cell(value):
+        return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+    lines = [list(frame.columns), ["---"] * len(frame.columns)]
+    lines += [list(map(cell, row)) for row in frame.itertuples(index=False)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def draw(table, path):
+    """EMCC against return and against cost rate: the control's curve, and the other arms."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    tasks = complete(table)
+    figure, axes = plt.subplots(2, len(tasks), squeeze=False, figsize=(2.6 * len(tasks), 5))
+    for column, task in enumerate(tasks):
+        own = table[table["task"] == task].groupby("arm")[["EMCC", "rate", "return"]].mean()
+        for row, name in enumerate(("return", "rate")):
+            axis, curve = axes[row, column], own.loc[list(CONTROL)].sort_values("rate")
+            axis.plot(curve[name], curve["EMCC"], "o-", color="0.5", label="plain cost, by limit")
+            for arm in [name for name in ARMS if name not in CONTROL]:
+                axis.plot(own.loc[arm, name], own.loc[arm, "EMCC"], "s", label=arm)
+            axis.set_xlabel({"return": "return", "rate": "cost rate"}[name])
+        axes[0, column].set_title(task.removeprefix("Safety"), fontsize=9)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("EMCC, last third")
+    axes[0, 0].legend(fontsize=6)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def base():
+    """The algorithm and the settings that the screening chose. Raises UserError before it."""
+    if not (RESULTS / "screening.csv").exists():
+        raise UserError("the base learner is not chosen: 'benchmarks/streaks.py screen' does it")
+    return CANDIDATES[choose(pd.read_csv(RESULTS / "screening.csv"))]
+
+
+def screen(options):
+    """Train the candidates' plain arm, and write their table."""
+    rows = []
+    for name, (algorithm, values) in CANDIDATES.items():
+        out = options.out / "screening" / name
+        settings = {**SHARED, **values, "cost_limit": COST_LIMIT, "steps": options.steps}
+        agents.grid(algorithm, SCREENED_TASKS, out=out, seeds=SCREENED_SEEDS, **settings)
+        rows += rows_of(out, candidate=name)
+    screening = pd.DataFrame(rows)
+    screening.to_csv(RESULTS / "screening.csv", index=False, float_format="%.6g")
+    print(screening.groupby(["candidate", "task"])[["cost", "return", "EMCC"]].mean())
+    print("chosen:", choose(screening))
+
+
+def train(options):
+    """Train arms on tasks."""
+    algorithm, values = base()
+    for arm in options.arms:
+        settings = {**SHARED, **values, "cost_limit": COST_LIMIT, **ARMS[arm]}
+        settings |= {"steps": options.steps, "seeds": SEEDS, "out": options.out / "arms" / arm}
+        agents.grid(algorithm, options.tasks, **settings)
+
+
+def table(options):
+    """Write the rows of all runs that are there, and the arms' archives."""
+    rows = []
+    for out in options.out:
+        for arm in ARMS:
+            if (folder := out / "arms" / arm).exists():
+                rows += rows_of(folder, arm=arm)
+                agents.report(folder, archive=out / f"{arm}.zip", out=out / "pages" / arm)
+    pd.DataFrame(rows).to_csv(RESULTS / "runs.csv", index=False, float_format="%.6g")
+
+
+def analyse(options):
+    """Write the analysis of the tasks that are complete."""
+    runs = pd.read_csv(RESULTS / "runs.csv")
+    if not complete(runs):
+        raise UserError(f"no task of {RESULTS / 'runs.csv'} has all arms and seeds yet")
+    (RESULTS / "analysis.md").write_text(page(runs))
+    draw(runs, RESULTS / "curves.png")
+
+
+def main():
+    """Run a part of the study."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parts = parser.add_subparsers(required=True)
+    for part in (screen, train, table, analyse):
+        own = parts.add_parser(part.__name__, help=part.__doc__)
+        own.set_defaults(part=part)
+        if part is table:
+            own.add_argument("--out", type=Path, nargs="+", required=True)
+        elif part is not analyse:
+            own.add_argument("--out", type=Path, required=True)
+            own.add_argument("--steps", type=int, default=STEPS, help="for a trial of the script")
+        if part is train:
+            own.add_argument("--tasks", nargs="+", default=TASKS, choices=TASKS)
+            own.add_argument("--arms", nargs="+", default=ARMS, choices=ARMS)
+    options = parser.parse_args()
+    options.part(options)
+
+
+if __name__ == "__main__":
+    main()
