@@ -1,0 +1,360 @@
+"""Which unprinted settings give the paper's numbers? The rule: results/identification/README.md.
+
+    python benchmarks/identification.py screen --out FOLDER
+    python benchmarks/identification.py full --out FOLDER
+    python benchmarks/identification.py rank
+
+`screen` trains the settings that the rule proposes, one after the other, and writes their runs to
+results/identification/screening.csv; `full` trains the nearest at full length (full.csv). Both go
+on where they were interrupted, also in another session: the files hold what is done, FOLDER the
+setting at hand. `rank` writes results/identification/ranking.md. `spread` made spread.csv once, of
+the published ten seeds.
+"""
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import agents
+from agents.algorithms import algorithm, title
+from agents.errors import UserError
+from agents.paper.evidence import paper_results
+from agents.paper.grid import LIBRARY, PAPER_ALGORITHMS
+from agents.presets import LENGTHS
+from circle2d_mj.registration import KINEMATIC
+
+RESULTS = Path(__file__).parents[1] / "results" / "identification"
+TASKS = tuple(KINEMATIC.values())
+SCREENING = {"steps": 300_000, "seeds": (300, 301, 302)}
+FULL = {"steps": 1_000_000, "seeds": tuple(range(310, 320))}
+MOST_SETTINGS, NEAREST = 40, 5
+FLOORS = {"cost_rate": 0.01, "J_R": 0.5, "J_C": 0.5, "CVaR_0.5": 0.5}
+"""Measures of the distance, and the least spread of a number, in its unit."""
+HELD_BACK = {"EMCC_0.33": 0.02, "EMCC_0.66": 0.02, "EMCC_0.99": 0.02}
+"""Measures that judge, and theirs."""
+MOST = 5.0
+"""Spreads that a number counts as, at most."""
+CLEARLY = 0.25
+"""Spreads by which another geometry must be nearer to become a task."""
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class Setting:
+    """A choice of what the paper does not print; the defaults are today's preset."""
+
+    depth: float = 0.5  # of the cut-outs, in radii
+    step: float = 0.11  # of a full action, in radii
+    units: str = "arena"  # of observations: the half arena, or "length"
+    limit: str = "terminal"  # off-policy at the time limit
+    reward: str = "none"  # scale of the reward off-policy
+    follows: str = "replay"  # what multipliers of SAC-Lag and WCSAC follow
+    optimizer: str = "adam"  # of multipliers
+    on_policy_limit: str = "bootstrap"  # on-policy at the time limit
+    wcsac: str = "paper"  # or "library": target and damping of the group's later code
+
+    @property
+    def name(self):
+        """What is not today's, in words."""
+        own, usual = dataclasses.asdict(self), dataclasses.asdict(Setting())
+        return ", ".join(f"{k} {v}" for k, v in own.items() if v != usual[k]) or "today's"
+
+    @property
+    def geometry(self):
+        """Of the task."""
+        return {"cutout_depth": self.depth, "step_length": self.step}
+
+    def hyperparameters(self, name):
+        """Those of an algorithm, beside its preset."""
+        chosen = {"multiplier_optimizer": self.optimizer}
+        if self.units == "length":
+            chosen["input_scale"] = LENGTHS[TASKS[0]]
+        if algorithm(name).off_policy:
+            chosen |= {"time_limit": self.limit, "reward_scale": self.reward}
+            chosen["multiplier_of"] = self.follows
+        else:
+            chosen["time_limit"] = self.on_policy_limit
+        if name == "wcsac" and self.wcsac == "library":
+            chosen |= LIBRARY
+        known = {field.name for field in dataclasses.fields(algorithm(name).config)}
+        return {k: v for k, v in chosen.items() if k in known}
+
+
+FACTORS = tuple(field.name for field in dataclasses.fields(Setting))
+GEOMETRIES = [
+    Setting(depth, step, units)
+    for units in ("arena", "length")
+    for depth in (0.5, 0.55, 0.6)
+    for step in (0.1, 0.11, 0.115)
+]
+OFF_POLICY = tuple(
+    {"limit": limit, "reward": reward, "follows": follows}
+    for limit in ("terminal", "bootstrap")
+    for reward in ("none", "running")
+    for follows in ("replay", "start", "episode")
+)
+SINGLE = ({"optimizer": "sgd"}, {"on_policy_limit": "terminal"}, {"wcsac": "library"})
+OTHERS = 3
+"""Other geometries that the best options are tried on."""
+
+
+def proposed(distance: Mapping[Setting, float]) -> list[Setting]:
+    """The settings to be screened by now, given the distances of those that are.
+
+    First depths, steps and units; on the nearest all options of the SAC family; on the nearest so
+    far single changes; and the options of the nearest so far on the next geometries.
+    """
+    found = list(GEOMETRIES)
+    if not distance.keys() >= set(found):
+        return found
+    first = sorted(found, key=distance.__getitem__)
+    found += [dataclasses.replace(first[0], **values) for values in OFF_POLICY]
+    found = list(dict.fromkeys(found))
+    if not distance.keys() >= set(found):
+        return found
+    best = min(found, key=distance.__getitem__)
+    found += [dataclasses.replace(best, **values) for values in SINGLE]
+    options = {k: getattr(best, k) for k in FACTORS if k not in ("depth", "step", "units")}
+    others = [own for own in first if own != dataclasses.replace(first[0])][:OTHERS]
+    found += [dataclasses.replace(own, **options) for own in others]
+    return list(dict.fromkeys(found))
+
+
+def in_full(distance):
+    """The settings that are run in full: the nearest, today's, and the nearest of today's
+    geometry."""
+    order = sorted(distance, key=distance.__getitem__)
+    at_home = [own for own in order if own.geometry == Setting().geometry]
+    return list(dict.fromkeys([*order[:NEAREST], *at_home[:1], Setting()]))
+
+
+def rows_of(folder, setting):
+    """A row for each complete run below a folder."""
+    rows = []
+    for group in agents.load_runs(folder).results:
+        for run in group.runs:
+            own = {"setting": setting.name, **dataclasses.asdict(setting)}
+            own |= {"algorithm": group.config.algorithm, "task": group.task, "seed": run.seed}
+            rows.append(own | {name: run.measures[name] for name in (*FLOORS, *HELD_BACK)})
+    return rows
+
+
+def cells(floors=FLOORS):
+    """The paper's numbers by (algorithm, task, measure)."""
+    printed = {(a, t): paper_results(t, title(a)) for a in PAPER_ALGORITHMS for t in TASKS}
+    return {(a, t, m): of[m] for (a, t), of in printed.items() for m in floors}
+
+
+def deviations(runs, spread, floors=FLOORS):
+    """By cell: how many spreads the mean over the runs of a setting is from the paper's number, at
+    most `MOST`, which a cell without a run counts as. The spread is the standard deviation over
+    seeds of the published runs, but at least the measure's floor."""
+    means = runs.groupby(["algorithm", "task"])[list(floors)].mean()
+    found = {}
+    for (name, task, measure), value in cells(floors).items():
+        unit = max(spread[name, task, measure], floors[measure])
+        known = (name, task) in means.index
+        gap = abs(means.loc[(name, task), measure] - value) / unit if known else math.inf
+        found[name, task, measure] = min(gap, MOST) if gap == gap else MOST
+    return found
+
+
+def distance_of(runs, spread, floors=FLOORS):
+    """The mean over all cells of `deviations`."""
+    return float(np.mean(list(deviations(runs, spread, floors).values())))
+
+
+def distances(table, spread, floors=FLOORS):
+    """By setting."""
+    by = table.groupby(list(FACTORS)) if len(table) else {}
+    return {Setting(*values): distance_of(own, spread, floors) for values, own in by}
+
+
+def clearly_nearer(table, spread, draws=2_000):
+    """The setting of another geometry that becomes a task, and how much nearer it is, [2.5 %, 50 %,
+    97.5 %] of a bootstrap over seeds: None where the rule gives none."""
+    near = distances(table, spread)
+    order = sorted(near, key=near.__getitem__)
+    away = [own for own in order if own.geometry != Setting().geometry]
+    home = [own for own in order if own.geometry == Setting().geometry]
+    if not away or not home:
+        return None
+    rng, gains = np.random.default_rng(0), []
+    pair = [_arrays(table, own) for own in (home[0], away[0])]
+    printed, unit = _units(spread)
+    for _ in range(draws):
+        gaps = []
+        for values in pair:
+            drawn = rng.integers(values.shape[1], size=(len(values), values.shape[1]))
+            means = np.take_along_axis(values, drawn[..., None], axis=1).mean(axis=1)
+            gaps.append(np.minimum(np.abs(means - printed) / unit, MOST).mean())
+        gains.append(gaps[0] - gaps[1])
+    low, middle, high = np.quantile(gains, (0.025, 0.5, 0.975))
+    judge = distances(table, spread, HELD_BACK)
+    clear = near[home[0]] - near[away[0]] >= CLEARLY and low > 0
+    return (away[0], (low, middle, high)) if clear and judge[away[0]] <= judge[home[0]] else None
+
+
+def _arrays(table, setting):
+    """Values of a setting's runs, [algorithms and tasks, seeds, measures]."""
+    own = table[table["setting"] == setting.name]
+    pairs = [(a, t) for a in PAPER_ALGORITHMS for t in TASKS]
+    parts = [own[(own["algorithm"] == a) & (own["task"] == t)] for a, t in pairs]
+    fewest = min(map(len, parts))
+    return np.stack([part[list(FLOORS)].to_numpy()[:fewest] for part in parts])
+
+
+def _units(spread):
+    pairs = [(a, t) for a in PAPER_ALGORITHMS for t in TASKS]
+    printed = np.array([[cells()[*pair, m] for m in FLOORS] for pair in pairs])
+    unit = [[max(spread[*pair, m], floor) for m, floor in FLOORS.items()] for pair in pairs]
+    return printed, np.array(unit)
+
+
+def page(screened, full, spread):
+    """The ranking as Markdown."""
+    near = distances(screened, spread)
+    order = sorted(near, key=near.__getitem__)
+    parts = ["# Settings by their distance from the paper's numbers\n"]
+    parts += [f"Screened: {len(order)} settings, 300 000 steps, three seeds.\n"]
+    columns = ["setting", "distance", *map(title, PAPER_ALGORITHMS)]
+    rows = []
+    for setting in order:
+        own = deviations(_of(screened, setting), spread)
+        each = [np.mean([v for (a, *_), v in own.items() if a == n]) for n in PAPER_ALGORITHMS]
+        rows.append([setting.name, near[setting], *each])
+    parts += [_markdown(columns, rows), "\n## What each choice moves\n"]
+    rows = [[k, *cell] for k in FACTORS for cell in _moved(near, k)]
+    parts += [_markdown(["choice", "value", "settings", "mean", "nearest"], rows)]
+    parts += ["\n## Numbers that no screened setting comes within two spreads of\n"]
+    every = [deviations(_of(screened, setting), spread) for setting in order]
+    printed = cells()
+    rows = [
+        [title(cell[0]), *cell[1:], printed[cell], min(own[cell] for own in every)]
+        for cell in printed
+        if min(own[cell] for own in every) > 2
+    ]
+    parts += [_markdown(["algorithm", "task", "measure", "paper", "nearest, spreads"], rows)]
+    if len(full):
+        near, judge = distances(full, spread), distances(full, spread, HELD_BACK)
+        parts += ["\n## In full: ten seeds, 1 000 000 steps; EMCC was held back\n"]
+        rows = [[s.name, near[s], judge[s]] for s in sorted(near, key=near.__getitem__)]
+        parts += [_markdown(["setting", "distance", "distance of EMCC"], rows)]
+        nearer = clearly_nearer(full, spread)
+        words = "No other geometry is clearly nearer: Circle2D-L-v0 stays alone."
+        if nearer:
+            low, _, high = nearer[1]
+            words = f"{nearer[0].name} is clearly nearer, by [{low:.2f}, {high:.2f}]: it becomes v1"
+        parts += [f"\n{words}\n"]
+    return "\n".join(parts)
+
+
+def _of(table, setting):
+    return table[table["setting"] == setting.name]
+
+
+def _moved(near, factor):
+    """For each value of a factor: settings, their mean distance, and the nearest."""
+    values = dict.fromkeys(sorted(getattr(own, factor) for own in near))
+    for value in values if len(values) > 1 else ():
+        own = [d for s, d in near.items() if getattr(s, factor) == value]
+        yield [value, len(own), float(np.mean(own)), min(own)]
+
+
+def _markdown(columns, rows):
+    lines = [columns, ["---"] * len(columns)]
+    lines += [[f"{c:.2f}" if isinstance(c, float) else str(c) for c in row] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def read(name):
+    """A table of results/identification; empty where it is not there yet."""
+    path = RESULTS / f"{name}.csv"
+    return pd.read_csv(path) if path.exists() else pd.DataFrame()
+
+
+def read_spread():
+    """The standard deviation over seeds of each number, by cell."""
+    table = pd.read_csv(RESULTS / "spread.csv")
+    return {(r.algorithm, r.task, r.measure): r.spread for r in table.itertuples()}
+
+
+def spread(options):
+    """Write the spreads of the published runs."""
+    rows, (published,) = [], options.published
+    for group in agents.load_runs(published).results:
+        for measure in (*FLOORS, *HELD_BACK):
+            values = [run.measures[measure] for run in group.runs]
+            own = {"algorithm": group.config.algorithm, "task": group.task, "measure": measure}
+            rows.append(own | {"runs": len(values), "spread": np.std(values, ddof=1)})
+    pd.DataFrame(rows).to_csv(RESULTS / "spread.csv", index=False, float_format="%.4g")
+
+
+def train(setting, length, out):
+    """The rows of a setting's runs, trained where they are not there yet."""
+    folder = out / setting.name
+    for name in PAPER_ALGORITHMS:
+        settings = length | setting.hyperparameters(name)
+        agents.grid(name, TASKS, out=folder, task_parameters=setting.geometry, **settings)
+    return rows_of(folder, setting)
+
+
+def _train_all(name, length, out, settings_of):
+    """Train what the rule asks for, and keep the rows, until it asks for nothing more."""
+    while True:
+        table, of = read(name), read_spread()
+        near = distances(table, of)
+        lacking = [own for own in settings_of(near) if own not in near]
+        if not lacking:
+            return
+        rows = pd.DataFrame(train(lacking[0], length, out / name))
+        table = pd.concat([table, rows])
+        table.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.5g")
+        print(f"{lacking[0].name}: {distance_of(rows, of):.3f}", flush=True)
+
+
+def screen(options):
+    """Train the settings that the rule proposes."""
+    length = {**SCREENING, "steps": options.steps or SCREENING["steps"]}
+    _train_all("screening", length, options.out, proposed)
+
+
+def full(options):
+    """Train the nearest settings at full length, once the screening is complete."""
+    near = distances(read("screening"), read_spread())
+    if lacking := [own for own in proposed(near) if own not in near]:
+        raise UserError(f"the screening lacks {len(lacking)} settings: run screen first")
+    length = {**FULL, "steps": options.steps or FULL["steps"]}
+    _train_all("full", length, options.out, lambda _: in_full(near))
+
+
+def rank(options):
+    """Write the page of what is there."""
+    screened = read("screening")
+    if not len(screened):
+        raise UserError("nothing is screened yet: run screen first")
+    (RESULTS / "ranking.md").write_text(page(screened, read("full"), read_spread()))
+
+
+def main():
+    """Run a part of the search."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parts = parser.add_subparsers(required=True)
+    for part in (screen, full, rank, spread):
+        own = parts.add_parser(part.__name__, help=part.__doc__)
+        own.set_defaults(part=part)
+        if part in (screen, full):
+            own.add_argument("--out", type=Path, required=True)
+            own.add_argument("--steps", type=int, help="for a trial of the script")
+        if part is spread:
+            own.add_argument("published", nargs=1, help="results/circle2d/runs.zip")
+    options = parser.parse_args()
+    options.part(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""The search for the paper's settings: its distance by hand, and what its rule proposes."""
+
+import importlib.util
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.algorithms import algorithm
+from agents.paper.grid import PAPER_ALGORITHMS
+
+ROOT = Path(__file__).parents[2]
+spec = importlib.util.spec_from_file_location("found", ROOT / "benchmarks" / "identification.py")
+search = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(search)
+Setting = search.Setting
+WIDE = {(*cell[:2], m): 2.0 for cell in search.cells() for m in (*search.FLOORS, *search.HELD_BACK)}
+"""A spread of two in every cell."""
+
+
+def runs(setting=Setting(), off=0.0, seeds=4, noise=0.0):  # noqa: B008
+    """Runs whose means are the paper's numbers plus `off` in J_R."""
+    rng, rows = np.random.default_rng(0), []
+    printed = search.cells({**search.FLOORS, **search.HELD_BACK})
+    for name in PAPER_ALGORITHMS:
+        for task in search.TASKS:
+            for seed in range(seeds):
+                own = {"setting": setting.name, **asdict(setting)}
+                own |= {"algorithm": name, "task": task, "seed": seed}
+                for m in (*search.FLOORS, *search.HELD_BACK):
+                    own[m] = printed[name, task, m] + off * (m == "J_R") + noise * rng.normal()
+                rows.append(own)
+    return pd.DataFrame(rows)
+
+
+def test_there_are_eighty_numbers_and_sixty_held_back():
+    assert len(search.cells()) == 80 and len(search.cells(search.HELD_BACK)) == 60
+    assert not set(search.FLOORS) & set(search.HELD_BACK)
+    assert search.cells()["trpo-lag", "Circle2D-2-v0", "J_R"] == -4.23
+    assert search.cells()["sac-lb", "Circle2D-2-v0", "J_C"] == 0
+    assert search.cells()["trpo-lag", "Circle2D-1-v0", "J_R"] == -4.68  # printed without its sign
+
+
+def test_the_distance_by_hand():
+    """J_R is off by 3 in 20 of 80 cells, of a spread of 2: 1.5 / 4 = .375. Off by 30 it counts as
+    5: 5 / 4. Without one algorithm on one level its four cells count as 5 each. A spread below the
+    floor of .5 is .5: 3 / .5 = 6, so 5 again."""
+    assert search.distance_of(runs(), WIDE) == 0
+    assert search.distance_of(runs(off=3.0), WIDE) == pytest.approx(0.375)
+    assert search.distance_of(runs(off=-3.0), WIDE) == pytest.approx(0.375)
+    assert search.distance_of(runs(off=30.0), WIDE) == pytest.approx(1.25)
+    own = runs()
+    lacking = own[(own["algorithm"] != "cpo") | (own["task"] != "Circle2D-3-v0")]
+    assert search.distance_of(lacking, WIDE) == pytest.approx(4 * 5 / 80)
+    narrow = dict.fromkeys(WIDE, 0.0)
+    assert search.distance_of(runs(off=3.0), narrow) == pytest.approx(1.25)
+    assert search.distance_of(runs(off=3.0), WIDE, search.HELD_BACK) == 0
+
+
+def test_the_mean_over_seeds_counts():
+    own = runs()
+    own["J_C"] += np.where(own["seed"] % 2, 4.0, -4.0)
+    assert search.distance_of(own, WIDE) == pytest.approx(0, abs=1e-9)
+
+
+def test_what_the_rule_proposes():
+    """The nearest has depth .6 and the unit of length, and follows episodes: 18 settings, then 11
+    more, then 6; never more than 40, and the nearest among them."""
+    target = Setting(0.6, 0.1, "length", follows="episode", optimizer="sgd")
+
+    def far(own):
+        wrong = sum(asdict(own)[k] != v for k, v in asdict(target).items())
+        return wrong + own.step / 100
+
+    known, sizes = {}, []
+    while True:
+        asked = search.proposed(known)
+        sizes.append(len(asked))
+        new = [own for own in asked if own not in known]
+        if not new:
+            break
+        known[new[0]] = far(new[0])
+    assert sorted(set(sizes)) == [18, 29, 35] and sizes[-1] <= search.MOST_SETTINGS
+    assert min(known, key=known.get) == target
+    assert Setting() in known
+    full = search.in_full(known)
+    order = sorted(known, key=known.get)
+    assert full[:5] == order[:5] and full[-1] == Setting() and len(full) == 7
+    assert full[5].geometry == Setting().geometry
+
+
+def test_settings_are_those_of_the_algorithms():
+    """Each takes what it has; today's adds what its preset has already."""
+    other = Setting(units="length", limit="bootstrap", reward="running", follows="start")
+    other = replace(other, optimizer="sgd", on_policy_limit="terminal", wcsac="library")
+    for name in PAPER_ALGORITHMS:
+        config = algorithm(name).config(**other.hyperparameters(name))
+        assert config.input_scale == 15.0
+        assert config.time_limit == ("bootstrap" if algorithm(name).off_policy else "terminal")
+    assert other.hyperparameters("sac-lag")["multiplier_of"] == "start"
+    assert other.hyperparameters("trpo-lag")["multiplier_optimizer"] == "sgd"
+    assert "multiplier_of" not in other.hyperparameters("sac-lb")
+    assert other.hyperparameters("wcsac")["variance_target"] == "unsquared"
+    assert Setting(depth=0.6).geometry == {"cutout_depth": 0.6, "step_length": 0.11}
+    assert Setting(depth=0.6).name == "depth 0.6" and Setting().name == "today's"
+
+
+def test_another_geometry_must_be_clearly_nearer():
+    """By .25 and more, surely over seeds, and not farther by EMCC."""
+    home, away = Setting(), Setting(depth=0.6)
+    far, near = runs(home, off=3.0, noise=0.3), runs(away, noise=0.3)
+    found = search.clearly_nearer(pd.concat([far, near]), WIDE)
+    assert found[0] == away and found[1][0] > 0.25
+    assert search.clearly_nearer(pd.concat([runs(home, off=1.0), near]), WIDE) is None
+    worse = near.assign(**{"EMCC_0.99": near["EMCC_0.99"] + 5})
+    assert search.clearly_nearer(pd.concat([far, worse]), WIDE) is None
+    noisy = runs(away, seeds=4, noise=8.0)
+    assert search.clearly_nearer(pd.concat([runs(home, off=3.0, noise=8.0), noisy]), WIDE) is None
+    assert search.clearly_nearer(far, WIDE) is None
+
+
+def test_the_page_ranks_and_names_what_nothing_explains():
+    screened = pd.concat([runs(off=3.0), runs(Setting(depth=0.6), off=10.0)])
+    text = search.page(screened, runs(Setting(depth=0.6)), WIDE)
+    assert text.index("| today's | 0.38 |") < text.index("| depth 0.6 | 1.25 |")
+    assert "| depth | 0.5 | 1 | 0.38 | 0.38 |" in text and "| step |" not in text
+    assert "| depth 0.6 | 0.00 | 0.00 |" in text
+    far = search.page(runs(off=30.0), pd.DataFrame(), WIDE)
+    assert "| TRPO-Lag | Circle2D-2-v0 | J_R | -4.23 | 5.00 |" in far
+
+
+def test_spreads_of_the_published_runs_are_there():
+    assert search.read_spread().keys() >= WIDE.keys()
