@@ -1,0 +1,74 @@
+"""Must a policy see the streak so far and the longest so far, where the longest is limited?
+
+    python benchmarks/streak_observation.py --out FOLDER
+
+Trains PPO-Lag with `--streak-limit 10` on SafetyPointGoal1, observations normalised, with both
+numbers in the observation and without, and prints what the last third of training gave, mean over
+seeds with their range. It can be killed: a side that is complete in FOLDER stays.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import agents
+from agents.algorithms import ppo_lag
+from agents.lockstep.streaks import Streaks
+from emcc import cost_rate, emcc
+from emcc.augmented import augmented
+
+STEPS, SEEDS, LIMIT = 300_000, (0, 1, 2), 10.0
+
+
+@dataclass(frozen=True)
+class BlindConfig(ppo_lag.PPOLagConfig):
+    """PPO-Lag's, whose networks see no streaks; the record cost is the same."""
+
+    def wrap(self, env, costs, time_limit):
+        return augmented(env, Streaks(cost=costs[0], scale=None))
+
+
+agents.register("ppo-lag-blind", ppo_lag.ALGORITHM._replace(config=BlindConfig))
+
+
+def late(runs):
+    """By name, the measures of the last third of training of each run."""
+    rows = []
+    for records in runs.records.values():
+        part = records.windows(10).by_part(records.total_steps)[0.99]
+        rows.append(
+            {
+                "longest streak": part.longest_streak.mean(),
+                "EMCC": emcc(part.mcc_per_rollout()[0], 0.1),
+                "cost rate": cost_rate(part.cost, part.length),
+                "cost": part.cost.mean(),
+                "return": part.reward.mean(),
+            }
+        )
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def main():
+    """Train what is not there, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", required=True, type=Path)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    options = parser.parse_args()
+    sides = {"seen": "ppo-lag", "not seen": "ppo-lag-blind"}
+    for k, (side, name) in enumerate(sides.items()):
+        folder = options.out / name
+        if (folder / "config.json").exists():
+            runs = agents.resume(folder)
+        else:
+            own = {"normalize_observations": True, "streak_limit": LIMIT, "preset": "none"}
+            own |= {"seeds": SEEDS, "steps": options.steps, "evaluation_episodes": 10}
+            runs = agents.train(name, "SafetyPointGoal1-v0", out=folder, **own)
+        measures = late(runs)
+        if k == 0:
+            print(f"| k and m | {' | '.join(measures)} |\n| --- |{' --- |' * len(measures)}")
+        cells = [f"{sum(v) / len(v):.3f} ({min(v):.3f} to {max(v):.3f})" for v in measures.values()]
+        print(f"| {side} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
