@@ -7,8 +7,7 @@
 `screen` trains the settings that the rule proposes, one after the other, and writes their runs to
 results/identification/screening.csv; `full` trains the nearest at full length (full.csv). Both go
 on where they were interrupted, also in another session: the files hold what is done, FOLDER the
-setting at hand. `rank` writes results/identification/ranking.md. `spread` made spread.csv once, of
-the published ten seeds.
+setting at hand. `rank` writes results/identification/ranking.md.
 """
 
 import argparse
@@ -262,7 +261,7 @@ def _moved(near, factor):
     values = dict.fromkeys(sorted(getattr(own, factor) for own in near))
     for value in values if len(values) > 1 else ():
         own = [d for s, d in near.items() if getattr(s, factor) == value]
-        yield [value, len(own), float(np.mean(own)), min(own)]
+        yield [str(value), len(own), float(np.mean(own)), min(own)]
 
 
 def _markdown(columns, rows):
@@ -278,20 +277,16 @@ def read(name):
 
 
 def read_spread():
-    """The standard deviation over seeds of each number, by cell."""
-    table = pd.read_csv(RESULTS / "spread.csv")
-    return {(r.algorithm, r.task, r.measure): r.spread for r in table.itertuples()}
-
-
-def spread(options):
-    """Write the spreads of the published runs."""
-    rows, (published,) = [], options.published
-    for group in agents.load_runs(published).results:
-        for measure in (*FLOORS, *HELD_BACK):
-            values = [run.measures[measure] for run in group.runs]
-            own = {"algorithm": group.config.algorithm, "task": group.task, "measure": measure}
-            rows.append(own | {"runs": len(values), "spread": np.std(values, ddof=1)})
-    pd.DataFrame(rows).to_csv(RESULTS / "spread.csv", index=False, float_format="%.4g")
+    """The standard deviation of each number over the seeds of the published runs, by cell."""
+    published = pd.read_csv(RESULTS.parent / "circle2d" / "report.csv")
+    runs = published[published["kind"] == "run"].groupby(["algorithm", "task"])
+    spread = runs[[*FLOORS, *HELD_BACK]].std()
+    return {
+        (name, task, measure): spread.loc[(title(name), task), measure]
+        for name in PAPER_ALGORITHMS
+        for task in TASKS
+        for measure in spread.columns
+    }
 
 
 def train(setting, length, out):
@@ -344,14 +339,12 @@ def main():
     """Run a part of the search."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parts = parser.add_subparsers(required=True)
-    for part in (screen, full, rank, spread):
+    for part in (screen, full, rank):
         own = parts.add_parser(part.__name__, help=part.__doc__)
         own.set_defaults(part=part)
-        if part in (screen, full):
+        if part is not rank:
             own.add_argument("--out", type=Path, required=True)
             own.add_argument("--steps", type=int, help="for a trial of the script")
-        if part is spread:
-            own.add_argument("published", nargs=1, help="results/circle2d/runs.zip")
     options = parser.parse_args()
     options.part(options)
 
