@@ -315,7 +315,7 @@ def report(
     """
     from agents.paper.sections import STUDY
     from agents.reporting.report import report as write_report
-    from agents.reporting.table import PAPER, markdown
+    from agents.reporting.table import LATEX_COLUMNS, markdown
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
@@ -324,7 +324,7 @@ def report(
         study=study or STUDY,
         archive=file,
         out=folder,
-        columns=PAPER if columns is None else columns,
+        columns=LATEX_COLUMNS if columns is None else columns,
         window=window,
     )
     return markdown(written.blocks)

@@ -242,7 +242,7 @@ def _results(folder: Path) -> str:
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]
-    return "\n".join([task_table(groups, printed).markdown(), *words])
+    return "\n".join([task_table([*map(printed, groups)]).markdown(), *words])
 
 
 _FORMATS = {"safetensors": _write_safetensors, "onnx": _write_onnx}

@@ -18,7 +18,7 @@ from emcc import EpisodeRecords
 if TYPE_CHECKING:
     import pandas
 
-    from agents.results.reading import Group, Part
+    from agents.results.reading import Group, Training
 
 Rows = Literal["measures", "episodes", "updates", "evaluations"]
 
@@ -101,13 +101,13 @@ class Runs:
         from agents.results.reading import run_records
 
         records = {}
-        for folder, part in zip(self.folders, self._parts, strict=True):
-            tasks, costs = part.config.tasks, part.config.costs
-            for run in part.config.runs:
+        for folder, training in zip(self.folders, self._trainings, strict=True):
+            tasks, costs = training.config.tasks, training.config.costs
+            for run in training.config.runs:
                 if cost not in (None, *costs):
                     raise UserError(f"{folder} has no cost {cost!r}: {', '.join(costs)}")
                 key = (folder, run.seed) if len(tasks) == 1 else (folder, *run)
-                records[key] = run_records(part.arrays, run, cost or costs[0])
+                records[key] = run_records(training.arrays, run, cost or costs[0])
         return records
 
     def table(self) -> str:
@@ -138,19 +138,21 @@ class Runs:
         from agents.results import frame
 
         return (
-            frame.frame(self.results) if rows == "measures" else frame.long_frame(self._parts, rows)
+            frame.frame(self.results)
+            if rows == "measures"
+            else frame.long_frame(self._trainings, rows)
         )
 
     @property
-    def _parts(self) -> list[Part]:
+    def _trainings(self) -> list[Training]:
         """Each folder with what it holds by now."""
-        from agents.results.reading import Part, results_of
+        from agents.results.reading import Training, results_of
 
-        parts = []
+        trainings = []
         for (folder, name), config in zip(self._names.items(), self.configs, strict=True):
             path = opened(folder)
-            parts.append(Part(path, name, name, results_of(path, config), config))
-        return parts
+            trainings.append(Training(path, name, name, results_of(path, config), config))
+        return trainings
 
     @property
     def _names(self) -> dict[Path, str]:

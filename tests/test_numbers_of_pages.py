@@ -54,7 +54,7 @@ def page(name):
 def test_the_published_archives_give_the_published_numbers(folder, library):
     published = RESULTS / folder
     groups = with_distinct_titles(read_groups([published / name for name in SOURCES[folder]], []))
-    found = io.StringIO(numbers_csv(report_lines(groups, evidence.printed)))
+    found = io.StringIO(numbers_csv(report_lines([*map(evidence.printed, groups)])))
     with (published / "report.csv").open() as expected:
         for row, known in zip(csv.DictReader(found), csv.DictReader(expected), strict=True):
             if not known["share"]:  # written before the lines of means told their seeds

@@ -27,7 +27,7 @@ from agents.cli.options import (
 )
 from agents.errors import UserError
 from agents.export import Format
-from agents.reporting.table import PAPER, Number, Row, Table, show, working
+from agents.reporting.table import LATEX_COLUMNS, Number, Row, Table, show, working
 from agents.training.config import TrainConfig
 from agents.training.environments import task_id, time_limit, unscaled
 from agents.training.policy import chosen_run, folder_of
@@ -50,7 +50,7 @@ class ReportOptions(Settings):
     out: Path | None = None
     """Folder for the report; by default the folder of the runs, or a folder beside the archive with
     its name. Required with several FOLDERs."""
-    columns: tuple[str, ...] = PAPER
+    columns: tuple[str, ...] = LATEX_COLUMNS
     """Columns of report.tex, as report.md names them."""
     window: Annotated[int, In(1)] | None = None
     """EMCC over windows of so many consecutive episodes of a run, in place of its rollouts, which

@@ -6,14 +6,15 @@ import functools
 import itertools
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
 from agents.algorithms import title
 from agents.paper.grid import PAPER_ALGORITHMS, PAPER_SEEDS, ablations
-from agents.presets import PAPER_STEPS, preset, registered_id
+from agents.presets import PAPER_STEPS, registered_id
 from agents.reporting.table import Number, number, p_number
-from agents.results.frame import Printed, hyperparameter_changes
+from agents.results.frame import hyperparameter_changes
 from agents.results.measures import measure
 from agents.results.reading import Group, RunResult, one_place
 from agents.results.statistics import (
@@ -70,27 +71,21 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
     return -value if is_misprint else value
 
 
-def printed(group: Group) -> Printed | None:
-    """The paper's numbers for a group's algorithm and task, as tables take them; none on a task
-    with other parameters than the paper's."""
-    task, algorithm = group.task, group.config.algorithm
-    values = paper_results(task, title(algorithm))
+def printed(group: Group) -> Group:
+    """The group with the paper's numbers for its algorithm and task; none on a task with other
+    parameters than the paper's."""
+    values = paper_results(group.task, title(group.config.algorithm))
     if not values or group.config.task_parameters:
-        return None
-    within = values["J_C"] <= preset(algorithm, task).cost_limit
-    return Printed(values, within, f"paper ({PAPER_SEEDS} seeds)")
+        return group
+    return replace(group, printed=values, publication=f"paper ({PAPER_SEEDS} seeds)")
 
 
 def choice_of(group: Group) -> str | None:
-    """The name in `grid.ablations` of a group's hyper-parameters; empty where they are the
-    preset's, None where they are others."""
-    config = group.config
-    if not hyperparameter_changes(config, group.task):
-        return ""
-    for name, other in ablations(config.algorithm, group.task).items():
-        if other == config.hyperparameters:
-            return name
-    return None
+    """The name in `grid.ablations` of the hyper-parameters that a group has instead of the
+    preset's; empty without any, None of others."""
+    changed = hyperparameter_changes(group.config, group.task)
+    named = {"": {}} | ablations(group.config.algorithm, group.task)
+    return next((name for name, values in named.items() if values == changed), None)
 
 
 class Finding(NamedTuple):

@@ -3,9 +3,7 @@ settings that it does not print."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -127,9 +125,8 @@ LIMIT_MARGIN = 1.5
 """How far the cost limit falls in the control that has a margin instead of the streak cost."""
 
 
-@functools.cache  # asked for each group of a report
-def ablations(name: str, task: str) -> dict[str, Any]:
-    """The preset with one thing changed, by the change's name: several for each algorithm.
+def ablations(name: str, task: str) -> dict[str, dict[str, Any]]:
+    """Values instead of the preset's, by the name of the change: several for each algorithm.
 
     For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
     of observations is one of them: "units" is that of length instead of the half arena. For
@@ -143,24 +140,25 @@ def ablations(name: str, task: str) -> dict[str, Any]:
         return {}
     config, setting = preset(name, task), unprinted(name)
     units = is_circle2d(task)
-    found = {"units": replace(config, input_scale=LENGTHS[registered_id(task)])} if units else {}
+    found: dict[str, dict[str, Any]] = {}
+    if units:
+        found["units"] = {"input_scale": LENGTHS[registered_id(task)]}
     if setting is None:
         return found
     (other,) = set(setting.choices) - {getattr(config, setting.field)}
-    found[other] = replace(config, **{setting.field: other})
+    found[other] = {setting.field: other}
     if units and setting is TIME_LIMIT:
-        found[f"{other}-units"] = replace(found[other], input_scale=LENGTHS[registered_id(task)])
-    return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
+        found[f"{other}-units"] = found[other] | found["units"]
+    return found | ({"library": LIBRARY} if name == "wcsac" else {})
 
 
-def _without_parts(task: str) -> dict[str, Any]:
+def _without_parts(task: str) -> dict[str, dict[str, Any]]:
     config, plain = preset("sac-lb-streak", task), preset("sac-lb", task)
     found = {
-        f"without-{part}": replace(config, **{field: getattr(plain, field) for field in fields})
+        f"without-{part}": {field: getattr(plain, field) for field in fields}
         for part, fields in STREAK_PARTS.items()
     }
     # In the unit of the networks' inputs the same distance between positions.
-    length = config.novelty_length / Circle2DConfig().arena
-    found["without-scale"] = replace(found["without-scale"], novelty_length=length)
-    lower = config.cost_limit - LIMIT_MARGIN
-    return found | {"margin": replace(found["without-streak"], cost_limit=lower)}
+    found["without-scale"]["novelty_length"] = config.novelty_length / Circle2DConfig().arena
+    lower = {"cost_limit": config.cost_limit - LIMIT_MARGIN}
+    return found | {"margin": found["without-streak"] | lower}

@@ -25,16 +25,16 @@ from agents.reporting.tables import (
     measures_table,
     printed_row,
 )
-from agents.results.frame import Printed, by_task, hyperparameter_changes, name_of, unusual_steps
+from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
 from agents.results.measures import measure, measures
 from agents.results.reading import Group, RunResult
-from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, two_sets
+from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, pairs_over_tasks
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc.panels import emcc_of_thirds
 from emcc.parts import PARTS, TIES
 
-CLAIMS = "The paper's claims"
-CLAIMS_WITH_PHYSICS = f"{CLAIMS}, on Circle2D with physics, of which it has no runs"
+CLAIMS_TITLE = "The paper's claims"
+CLAIMS_WITH_PHYSICS = f"{CLAIMS_TITLE}, on Circle2D with physics, of which it has no runs"
 LEAST_P = 2 / comb(2 * SAFETY_SEEDS, SAFETY_SEEDS)
 METHOD = (
     "A claim is reproduced where all its parts are, not reproduced where one is not, undecided "
@@ -82,8 +82,8 @@ MARKING = "of the choices the mean that is nearest to the paper's"
 class Paper(Study):
     """All that the paper adds to a report."""
 
-    def printed(self, group: Group) -> Printed | None:
-        """The paper's numbers for a group: see `evidence.printed`."""
+    def printed(self, group: Group) -> Group:
+        """The group with the paper's numbers: see `evidence.printed`."""
         return printed(group)
 
     def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
@@ -108,7 +108,7 @@ class Paper(Study):
         """The settings of our presets that the paper does not print, and what it did otherwise."""
         task = groups[0].task
         titles: dict[str, dict[str, None]] = {}
-        for group in filter(printed, groups):
+        for group in (group for group in groups if group.printed):
             config, setting = group.config, unprinted(group.config.algorithm)
             if setting and setting.field not in hyperparameter_changes(config, task):
                 choice = getattr(config.hyperparameters, setting.field)
@@ -166,7 +166,7 @@ def claims_sections(groups: Sequence[Group]) -> list[Section]:
         for group in groups
         if registered_id(group.task) in same
     ]
-    found = {CLAIMS: check_claims(groups), CLAIMS_WITH_PHYSICS: check_claims(physics)}
+    found = {CLAIMS_TITLE: check_claims(groups), CLAIMS_WITH_PHYSICS: check_claims(physics)}
     return [
         Section(title, statements=statements, method=METHOD)
         for title, statements in found.items()
@@ -189,14 +189,12 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
     for own in choices:
         task, name = own[0].task, own[0].config.algorithm
         complete = [group for group in own if group.runs]
-        reference = printed(own[0])
-        if reference:
-            marked |= {(len(rows) + k, m) for k, m in _nearest(complete, reference.values)}
+        marked |= {(len(rows) + k, m) for k, m in _nearest(complete, own[0].printed)}
         for group in complete:
             words_of = [task, title(name), _choice(group), *unusual_steps(group.total_steps, task)]
             rows.append(mean_row(group, ", ".join(words_of)))
-        if reference:
-            rows.append(printed_row(f"{task}, {title(name)}", reference))
+        if own[0].printed:
+            rows.append(printed_row(f"{task}, {title(name)}", own[0]))
     if not rows:
         return None
     groups = [group for own in choices for group in own]
@@ -213,8 +211,7 @@ def nearest_table(choices: Choices) -> Table | None:
     compared: Counter[tuple[str, str]] = Counter()
     for own in choices:
         name, complete = title(own[0].config.algorithm), [group for group in own if group.runs]
-        reference = printed(own[0])
-        found = list(_nearest(complete, reference.values)) if reference else []
+        found = list(_nearest(complete, own[0].printed))
         for k, group in enumerate(complete):
             key = name, _choice(group)
             compared[key] += len({m for _, m in found})
@@ -236,7 +233,7 @@ def parts_over_tasks(choices: Choices) -> Table | None:
             words = [_choice(other), *unusual_steps(other.total_steps, other.task), other.apart]
             name = f"B - A: {', '.join(filter(None, words))} - preset"
             named.append((name, (usual, other)))
-    return differences_over_tasks(two_sets(named))
+    return differences_over_tasks(pairs_over_tasks(named))
 
 
 def _by_preset(pairs: Sequence[Pair]) -> list[list[Group]]:
@@ -281,8 +278,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
     rows: list[Row] = []
     for group in (group for own in by_task(groups).values() for group in own):
         name = f"{group.task}, {name_of(group)}"
-        reference = printed(group)
-        values = reference.values if reference else {}
+        values = group.printed
         both = [group, replace(group, runs=[_with_all_ties(run) for run in group.runs])]
         nearest = set(_nearest(both, values))
         for k, (way, own) in enumerate(zip(TIES, both, strict=True)):

@@ -43,7 +43,7 @@ from agents.results.statistics import (
     holm,
     mixed,
     only,
-    two_sets,
+    pairs_over_tasks,
 )
 from agents.training.files import check_folder, write_whole
 
@@ -52,8 +52,8 @@ METHOD = (
     "that end in one place]; p: two-sided permutation test of Welch's t{}; P(B better): "
     "probability that a run of B is better than one of A, equal ones half [95 % bootstrap interval]"
 )
-Tested = Mapping[tuple[int, int], Mapping[str, Difference]]
-"""The differences of pairs, by the identities of their groups."""
+Tested = Mapping[tuple[str, str], Mapping[str, Difference]]
+"""The differences of pairs, by task and name."""
 
 
 class Sides(NamedTuple):
@@ -69,15 +69,15 @@ class Sides(NamedTuple):
         return [(f"{k}: {name_of(g)}", g) for k, groups in sides for g in groups]
 
     @property
-    def pairs(self) -> list[Pair]:
+    def pairs(self) -> dict[str, Pair]:
         """Each group of B with the one of A of its algorithm and settings, or with all, of the same
-        cost."""
-        pairs = []
+        cost, by name."""
+        pairs: list[Pair] = []
         for b in self.b:
             of_cost = [a for a in self.a if a.cost == b.cost]
             same = [a for a in of_cost if _settings(a) == _settings(b)]
             pairs += [(a, b) for a in same or of_cost]
-        return pairs
+        return {_name(*pair): pair for pair in pairs}
 
 
 def compare(
@@ -102,16 +102,16 @@ def compare(
     both = alike(with_varied_settings([*of_a, *of_b]))
     sides = [with_distinct_titles(both[: len(of_a)]), with_distinct_titles(both[len(of_a) :])]
     by_task = _by_task(a, b, sides, notes)
-    pairs = [pair for both in by_task.values() for pair in both.pairs]
-    tested = {_key(*pair): only(asked, differences(*pair)) for pair in pairs}
-    sets = two_sets((_name(*pair), pair) for pair in pairs)
+    pairs = {(task, k): pair for task, both in by_task.items() for k, pair in both.pairs.items()}
+    tested = {key: only(asked, differences(*pair)) for key, pair in pairs.items()}
+    over_tasks = pairs_over_tasks((name, pair) for (_, name), pair in pairs.items())
     adjusted, tests = holm(tested)
     *_, last = by_task
     tables = {
         task: _table(task, both, adjusted, tests, notes if task == last else [])
         for task, both in by_task.items()
     }
-    if (together := differences_over_tasks(sets, asked)) is not None:
+    if (together := differences_over_tasks(over_tasks, asked)) is not None:
         tables[TASKS] = together
     if out is None:
         return list(tables.values())
@@ -128,10 +128,10 @@ def compare(
     for task, both in by_task.items():
         for name, groups in zip("AB", both, strict=True):
             lines += group_lines(groups, f"{name}: ")
-        for pair in both.pairs:
-            lines += difference_lines(task, _name(*pair), tested[_key(*pair)])
-    for name, two in sets.items():
-        lines += difference_lines(f"{two.tasks} tasks", name, only(asked, two.differences()))
+        for name in both.pairs:
+            lines += difference_lines(task, name, tested[task, name])
+    for (name, tasks, _), told in over_tasks.items():
+        lines += difference_lines(tasks, name, only(asked, told))
     write_whole(out / "compare.csv", numbers_csv(lines))
     return list(tables.values())
 
@@ -163,10 +163,9 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     tested: with corrected p values; tests: their number.
     """
     rows = [mean_row(group, name) for name, group in sides.named]
-    for pair in sides.pairs:
-        told = tested[_key(*pair)]
-        beside = [Number(None)] * 2
-        rows += difference_rows(_name(*pair), told, measures(), tests, beside=beside)
+    beside = [Number(None)] * 2
+    for name in sides.pairs:
+        rows += difference_rows(name, tested[task, name], measures(), tests, beside=beside)
     for prefix, groups in zip(("A: ", "B: "), sides, strict=True):
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
     groups = [*sides.a, *sides.b]
@@ -174,10 +173,6 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     words = f"{caption(groups)}; {METHOD.format(corrected(tests, 'made here'))}"
     notes = [*notes, *told, *_too_few(task, sides, tests)]
     return measures_table(words, task, rows, notes, lengths=lengths_differ(groups))
-
-
-def _key(a: Group, b: Group) -> tuple[int, int]:
-    return id(a), id(b)
 
 
 def _settings(group: Group) -> tuple[str, dict[str, Any]]:
@@ -191,7 +186,7 @@ def _name(a: Group, b: Group) -> str:
 
 def _too_few(task: str, sides: Sides, number_of_tests: int) -> list[str]:
     """Notes on runs too few for an interval or a test."""
-    sizes = {(len(a.runs), len(b.runs)) for a, b in sides.pairs}
+    sizes = {(len(a.runs), len(b.runs)) for a, b in sides.pairs.values()}
     notes = []
     for a, b in sorted(sizes):
         least = min(1.0, number_of_tests * _lowest_p(a, b))

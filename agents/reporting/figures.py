@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
-from agents.results.frame import Reference, by_task, in_order, name_of
+from agents.results.frame import by_task, in_order, name_of
 from agents.results.measures import Measure, measures
 from agents.results.reading import Group
 from agents.results.statistics import (
@@ -273,7 +273,7 @@ def _label(axes: Any, total_steps: int) -> None:
     thirds.set_xlim(-0.5, 2.5)
 
 
-def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
+def intervals_figure(groups: Sequence[Group]) -> Figure:
     """Every measure of every run, with the mean and the interval of each algorithm.
 
     A row of panels for each task, a column for each measure.
@@ -297,7 +297,7 @@ def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
         for row, (task, own) in zip(axes, tasks.items(), strict=True):
             drawn = list(zip(own, styles([group.config for group in own]), strict=True))
             for axis, m in zip(row, columns, strict=True):
-                _draw_runs(axis, drawn, m, printed)
+                _draw_runs(axis, drawn, m)
                 _frame(axis, len(own), m)
             row[0].set_yticks(range(len(own)), named[task])
             row[0].set_ylabel(task.removeprefix("circle2d_mj/"), fontweight="bold")
@@ -316,9 +316,7 @@ def _wrapped(name: str, width: int) -> str:
     return "\n".join(fill(line, width) for line in name.replace(" (", "\n(").splitlines())
 
 
-def _draw_runs(
-    axis: Any, drawn: Sequence[tuple[Group, Style]], m: Measure, printed: Reference
-) -> None:
+def _draw_runs(axis: Any, drawn: Sequence[tuple[Group, Style]], m: Measure) -> None:
     """A row for each group. The bars and crosses of all rows are one artist each, for speed."""
     means, middles, crosses = [], [], []
     for place, (group, style) in enumerate(drawn):
@@ -330,9 +328,8 @@ def _draw_runs(
                 axis.plot([mean.low, mean.high], [place, place], color=style.colour, linewidth=1.6)
             means.append((mean.value, place))
             middles.append((iqm(values), place))
-        reference = printed(group)
-        if reference and m.name in reference.values:
-            crosses.append((reference.values[m.name], place))
+        if m.name in group.printed:
+            crosses.append((group.printed[m.name], place))
     looks = ("|", 11, "#999999"), ("|", 11, "black"), ("x", 5, "black")
     for points, (marker, size, colour) in zip((middles, means, crosses), looks, strict=True):
         if points:

@@ -32,7 +32,7 @@ from circle2d_mj.render import canvas
 from circle2d_mj.render.figure import figure
 from emcc.parts import ALPHA, PARTS
 
-SIZE = 360
+SCENE_SIZE = 360
 """Pixels along the side of the pictures below and on top."""
 SIDE = 1000
 """Side of a picture in the units of its paths."""
@@ -63,7 +63,7 @@ class Ground(NamedTuple):
         return self.view.overlay(picture)
 
 
-class Column(NamedTuple):
+class HeatColumn(NamedTuple):
     """Visited states of some runs, in several parts of training or on several tasks."""
 
     title: str
@@ -72,7 +72,7 @@ class Column(NamedTuple):
     parts: Sequence[Visits]
 
 
-def heat_figure(columns: Sequence[Column], titles: Sequence[str], size: int) -> Picture:
+def heat_figure(columns: Sequence[HeatColumn], titles: Sequence[str], size: int) -> Picture:
     """Heat maps with one scale: those of a single column side by side, else a row for each part.
 
     titles: of the parts; size: pixels along the side of each map.
@@ -160,13 +160,13 @@ class Scenes:
 def _scene(number: int, view: View) -> Scene:
     # What lies on top covers light and dark alike, so their difference tells how much it covers.
     light, dark = (
-        view.overlay(np.full((SIZE, SIZE, 3), shade, np.uint8)).astype(np.float64)
+        view.overlay(np.full((SCENE_SIZE, SCENE_SIZE, 3), shade, np.uint8)).astype(np.float64)
         for shade in (255, 0)
     )
     cover = 1.0 - np.clip(light - dark, 0, 255).mean(axis=-1, keepdims=True) / 255
     colour = np.clip(dark / np.maximum(cover, 1 / 255), 0, 255)
     above = np.concatenate((colour, 255 * cover), axis=-1).round().astype(np.uint8)
-    return Scene(number, view.extent, png(view.background(SIZE)), png(above))
+    return Scene(number, view.extent, png(view.background(SCENE_SIZE)), png(above))
 
 
 class Map(NamedTuple):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from agents.algorithms import title
 from agents.reporting.tables import ends_words
-from agents.results.frame import Reference, name_of
+from agents.results.frame import name_of
 from agents.results.measures import measures
 from agents.results.reading import Group
 from agents.results.statistics import Difference, group_mean, known, places, within_limit
@@ -39,12 +39,12 @@ def numbers_csv(lines: Iterable[Line]) -> str:
     return text.getvalue()
 
 
-def report_lines(groups: Sequence[Group], printed: Reference) -> Iterator[Line]:
+def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
     """Means and runs of every group, then the printed numbers of the same algorithms."""
     yield from group_lines(groups)
-    known = {(g.task, g.config.algorithm): found for g in groups if (found := printed(g))}
-    for (task, name), reference in known.items():
-        yield {"task": task, "algorithm": title(name), "kind": "paper", **reference.values}
+    printed = {(g.task, g.config.algorithm): g.printed for g in groups if g.printed}
+    for (task, name), values in printed.items():
+        yield {"task": task, "algorithm": title(name), "kind": "paper", **values}
 
 
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:

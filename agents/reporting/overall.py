@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,7 @@ from agents.results.statistics import (
     ACROSS_WORDS,
     LEVEL,
     MARGIN,
-    Comparison,
-    TwoSets,
+    OverTasks,
     alike,
     bootstrapped,
     by_third,
@@ -28,10 +28,11 @@ from agents.results.statistics import (
     common_measures,
     comparisons,
     difference_of,
+    differences_of_sets,
     holm,
     known,
-    matrices,
     mixed,
+    on_common_seeds,
     only,
 )
 from emcc import iqm
@@ -113,12 +114,10 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
     """Pairs that EMCC tells apart and the cost rate does not, with the counts in a sentence; None
     where there is nothing to compare."""
     pairs = comparisons([group for own in by_task(groups).values() for group in own])
-    if not pairs:
+    if pairs.empty:
         return None
-    not_told = [pair for pair in pairs if pair.rate_p > LEVEL]
-    equal = [pair for pair in not_told if pair.equal_rates]
-    shown = [pair for pair in equal if pair.separated]
-    differ = sum(pair.emcc_p <= LEVEL for pair in not_told)
+    not_told, equal = pairs[pairs.rate_p > LEVEL], pairs[pairs.equal_rates]
+    shown, differ = equal[equal.emcc_p <= LEVEL], (not_told.emcc_p <= LEVEL).sum()
     words = (
         f"Of {len(pairs)} comparisons the cost rate does not tell {len(not_told)} apart, of which "
         f"EMCC tells {differ} apart; {len(equal)} have equal cost rates, of which EMCC tells "
@@ -130,10 +129,11 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
         "interval, where all runs of either end in one place"
     )
     head = ["A and B", *SEPARATED, p_head(len(pairs))]
-    return Table(words, head, list(map(_separated_row, shown)))
+    return Table(words, head, list(map(_separated_row, shown.itertuples())))
 
 
-def _separated_row(pair: Comparison) -> Row:
+def _separated_row(pair: Any) -> Row:
+    """pair: a row of `comparisons`."""
     names = " and ".join(name_of(group) for group in (pair.a, pair.b))
     one_place = pair.a.one_place and pair.b.one_place
     cells = []
@@ -160,20 +160,23 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     """
     columns = common_measures()
     cells = on_every_task(of_presets(groups), title_of_group)
-    runs = {name: matrices(list(own.values()), FEWEST_RUNS) for name, own in cells.items()}
+    runs = {name: on_common_seeds(list(own.values()), FEWEST_RUNS) for name, own in cells.items()}
     runs = {name: values for name, values in runs.items() if values}
     tasks = len(tasks_of(cells))
     if tasks < 2 or not runs:
         return None
     rows = []
     for name, values in runs.items():
-        middle = [number(bootstrapped(iqm, values.get(m.name)), m.digits) for m in columns]
+        middle = [
+            number(bootstrapped(iqm, values[m.name]) if m.name in values else None, m.digits)
+            for m in columns
+        ]
         seeds = len(next(iter(values.values())))
         rows.append(Row(f"{name}, {seeds} seeds", middle, kind="mean"))
     pairs = list(combinations(runs, 2)) if len(runs) <= MOST_PAIRED else []
     tested, tests = holm(
         {
-            f"P({a} better than {b})": TwoSets(runs[b], runs[a]).differences(gaps=False)
+            f"P({a} better than {b})": differences_of_sets(runs[b], runs[a], gaps=False)
             for a, b in pairs
         }
     )
@@ -194,21 +197,19 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     return Table(caption, [f"{tasks} tasks", *(m.head for m in columns)], rows)
 
 
-def differences_over_tasks(
-    sets: Mapping[str, TwoSets], asked: Collection[str] | None = None
-) -> Table | None:
-    """Differences B - A of the means over all tasks, with a test of each; None of no sets.
+def differences_over_tasks(told: OverTasks, asked: Collection[str] | None = None) -> Table | None:
+    """Differences B - A of the means over all tasks, with a test of each; None without any.
 
-    sets: by the name of their rows; asked: see `agents.results.statistics.only`.
+    asked: see `agents.results.statistics.only`.
     """
-    if not sets:
+    if not told:
         return None
     columns = common_measures()
-    tested, tests = holm({name: only(asked, two.differences()) for name, two in sets.items()})
+    tested, tests = holm({key: only(asked, own) for key, own in told.items()})
     rows = []
-    for name, told in tested.items():
+    for key, own in tested.items():
         # A digit more than means have: over tasks small differences can be told from none.
-        rows += difference_rows(f"{name}, {sets[name].size}", told, columns, tests, more_digits=1)
+        rows += difference_rows(", ".join(key), own, columns, tests, more_digits=1)
     words = (
         "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
         f"bootstrap interval, of {FEWEST_RUNS} seeds or more]; p: {TEST}"

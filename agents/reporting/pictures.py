@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageOps
 
 from agents.errors import OWN_ERRORS, TaskFailure, UserError
 from agents.lockstep.rollout import Rollout
-from agents.reporting.maps import Column, Ground, heat_figure, png
+from agents.reporting.maps import Ground, HeatColumn, heat_figure, png
 from agents.results.frame import title_of
 from agents.results.reading import Episode, results_of, run_records
 from agents.training.config import RunId, TrainConfig
@@ -76,7 +76,7 @@ def _column(
     seeds: tuple[int, ...] | None,
     name: str | None,
     task: str | None,
-) -> Column:
+) -> HeatColumn:
     config = TrainConfig.read(folder)
     task = chosen_run(folder, config, config.seeds[0], task).task
     view, arrays, steps = _view(config, task), results_of(folder, config), Steps(folder)
@@ -96,7 +96,7 @@ def _column(
     if name is None and set(seeds) != set(config.seeds):
         heading += f" (seeds: {', '.join(map(str, seeds))})"
     visits = count_visits(view, runs, config.steps, parts, alpha, CELLS)
-    return Column(heading, [view] * len(parts), visits)
+    return HeatColumn(heading, [view] * len(parts), visits)
 
 
 def _view(config: TrainConfig, task: str) -> View:

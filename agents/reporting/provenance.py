@@ -21,8 +21,8 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
     program: this one, with its commit; command: a line for each folder. Versions, machine and
     training time are those that the run folders hold, and left out where there are none.
     """
-    parts = [*{part.folder: part for group in groups for part in group.parts}.values()]
-    by_part = [sessions_of(part.path) for part in parts]
+    folders = [*{own.folder: own for group in groups for own in group.trainings}.values()]
+    by_part = [sessions_of(own.path) for own in folders]
     sessions = {name: one for each in by_part for name, one in each.items()}
     versions = {
         f"{name} {number}"
@@ -35,11 +35,11 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
         if session.get("machine")
     }
     timed = sum(map(bool, by_part))
-    few = "" if timed == len(parts) else f", of {timed} of {len(parts)} folders"
+    few = "" if timed == len(folders) else f", of {timed} of {len(folders)} folders"
     seconds = sum(float(session.get("seconds") or 0.0) for session in sessions.values())
     facts = {
         "program": program(),
-        "command": "\n".join(command(p.config, p.title, p.recorded) for p in parts),
+        "command": "\n".join(command(p.config, p.title, p.recorded) for p in folders),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
         "training time": f"{duration(seconds)}, all processes together{few}" if timed else "",

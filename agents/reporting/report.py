@@ -20,7 +20,7 @@ from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
 from agents.reporting.study import Study
-from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
+from agents.reporting.table import LATEX_COLUMNS, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.archive import write_archive
 from agents.results.frame import with_names
@@ -48,7 +48,7 @@ def report(
     study: Study | None = None,
     archive: Path | None = None,
     out: Path | None = None,
-    columns: Sequence[str] = PAPER,
+    columns: Sequence[str] = LATEX_COLUMNS,
     window: int | None = None,
 ) -> Report:
     """Write the report of every folder of runs at or below some folders: see `agents.report`.
@@ -62,8 +62,8 @@ def report(
         _check_archive(archive)
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
-    groups = with_names(read_groups(paths, notes, name, window))
     study = study or Study()
+    groups = [*map(study.printed, with_names(read_groups(paths, notes, name, window)))]
     usual, apart = study.set_apart(groups)
     claims = study.claims(groups)
     pictures = _pictures(usual, notes)
@@ -73,7 +73,7 @@ def report(
     tables = main | details
     together = [
         Section(name, over_tasks.get(name), figures)
-        for name, figures in _figures_together(usual, study).items()
+        for name, figures in _figures_together(usual).items()
     ]
     others = [
         pictures.by_task.get(name, Section(name))._replace(table=table)
@@ -89,7 +89,7 @@ def report(
     write_whole(out / "index.html", html)
     verdicts = [section.statements_markdown() for section in claims]
     titled = [block for name, table in tables.items() for block in (f"## {plain(name)}\n", table)]
-    _write_tables(out, [*verdicts, *titled, ENDING], groups, study)
+    _write_tables(out, [*verdicts, *titled, ENDING], groups)
     write_whole(out / "report.tex", latex(main, columns))
     missing = [note for note in notes if isinstance(note, LeftOut)]
     return Report([*main.values(), *verdicts], missing, out / "index.html")
@@ -102,21 +102,19 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
     `report`.
     """
     notes: list[str] = []
-    groups = with_names(read_groups([folder], notes))
     study = study or Study()
+    groups = [*map(study.printed, with_names(read_groups([folder], notes)))]
     usual, apart = study.set_apart(groups)
     tables = [*_task_tables(usual, study, notes).values(), *apart.values()]
     if not archive_of(folder):
-        _write_tables(folder, tables, groups, study)
+        _write_tables(folder, tables, groups)
     return tables
 
 
-def _write_tables(
-    folder: Path, blocks: Sequence[Block], groups: Sequence[Group], study: Study
-) -> None:
+def _write_tables(folder: Path, blocks: Sequence[Block], groups: Sequence[Group]) -> None:
     """Write `report.md`, of some blocks, and `report.csv`."""
     write_whole(folder / "report.md", markdown(blocks))
-    write_whole(folder / "report.csv", numbers_csv(report_lines(groups, study.printed)))
+    write_whole(folder / "report.csv", numbers_csv(report_lines(groups)))
 
 
 def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
@@ -172,13 +170,13 @@ def _pictures(groups: Sequence[Group], notes: list[str]) -> Pictures:
     return Pictures(sections, replayed, scenes.all)
 
 
-def _figures_together(groups: Sequence[Group], study: Study) -> dict[str, list[Figure]]:
+def _figures_together(groups: Sequence[Group]) -> dict[str, list[Figure]]:
     """Every run with its mean, and what EMCC shows that the cost rate does not, by the title of
     their sections; nothing where no run is complete."""
     if not any(group.runs for group in groups):
         return {}
     return {
-        RUNS: [intervals_figure(groups, study.printed)],
+        RUNS: [intervals_figure(groups)],
         RATES: [rates_figure(alike(groups)), profiles_figure(alike(groups))],
     }
 
@@ -188,7 +186,7 @@ def _task_tables(groups: Sequence[Group], study: Study, notes: Sequence[str]) ->
     by_task = _by_task(groups)
     *_, last = by_task
     return {
-        task: task_table(own, study.printed, [*study.notes(own), *(notes if task == last else [])])
+        task: task_table(own, [*study.notes(own), *(notes if task == last else [])])
         for task, own in by_task.items()
     }
 

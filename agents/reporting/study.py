@@ -6,16 +6,15 @@ from collections.abc import Sequence
 
 from agents.reporting.page import Section
 from agents.reporting.table import Table
-from agents.results.frame import Printed
 from agents.results.reading import Group
 
 
 class Study:
     """A study that adds nothing; a subclass adds its own, such as a paper's numbers."""
 
-    def printed(self, group: Group) -> Printed | None:
-        """The numbers that it prints for a group's algorithm and task."""
-        return None
+    def printed(self, group: Group) -> Group:
+        """The group with the numbers that it prints for the group's algorithm and task."""
+        return group
 
     def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
         """The groups to report as usual, and tables, by title, of the others."""

@@ -20,7 +20,7 @@ FITTED = r"""\noindent\resizebox{{\ifdim\width>\linewidth\linewidth\else\width\f
 {}}}
 """
 """A box of LaTeX that is as wide as a line at most; needs graphicx, as the rules need booktabs."""
-PAPER = ("EMCC_0.33", "EMCC_0.99", "cost rate", "J_R", "J_C")
+LATEX_COLUMNS = ("EMCC_0.33", "EMCC_0.99", "cost rate", "J_R", "J_C")
 """Columns of tables for LaTeX, which fit the width of a text."""
 NARROW, WIDE = 12, 20
 """Characters to which a terminal's columns of numbers, and those of words, are broken."""
@@ -176,7 +176,7 @@ class Table:
         legend = [plain(self.legend), ""] if self.legend else []
         return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
 
-    def latex(self, columns: Collection[str] = PAPER) -> str:
+    def latex(self, columns: Collection[str] = LATEX_COLUMNS) -> str:
         """The means above their intervals, and the paper's numbers, as a tabular with the rules of
         booktabs; all rows of a table without means. Legend and notes are comments.
 
@@ -218,12 +218,12 @@ def markdown(blocks: Iterable[Block]) -> str:
     return "\n".join(block if isinstance(block, str) else block.markdown() for block in shown)
 
 
-def latex(tables: Mapping[str, Table], columns: Collection[str] = PAPER) -> str:
+def latex(tables: Mapping[str, Table], columns: Collection[str] = LATEX_COLUMNS) -> str:
     """Tables for LaTeX, each below its name as a comment; columns: see `Table.latex`. Raises
     UserError for a column that none of them has."""
     heads = dict.fromkeys(head for table in tables.values() for head in table.head[1:])
     for column in columns:
-        if columns != PAPER and column not in heads:
+        if columns != LATEX_COLUMNS and column not in heads:
             raise UserError(f"no table has a column {column!r}: {nearest(column, heads)}")
     named = (f"% {one_line(n)}\n{table.latex(columns)}" for n, table in tables.items())
     return "\n".join(["% \\usepackage{booktabs,graphicx}", *named])

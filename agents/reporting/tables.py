@@ -9,11 +9,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from agents.algorithms import title
+from agents.algorithms import ALGORITHMS, title
+from agents.presets import preset
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
 from agents.results.frame import (
-    Printed,
-    Reference,
     changes,
     in_order,
     name_of,
@@ -49,7 +48,7 @@ from emcc.statistics import SHARE, Bounds
 Key = TypeVar("Key", bound=Hashable)
 
 
-def task_table(groups: Sequence[Group], printed: Reference, notes: Sequence[str] = ()) -> Table:
+def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
     """One task: for each algorithm the means above the printed numbers, then every run.
 
     What is best among the means, and among the printed numbers, is marked: see `best`.
@@ -64,9 +63,9 @@ def task_table(groups: Sequence[Group], printed: Reference, notes: Sequence[str]
             if group.runs:
                 ours.setdefault(group.cost, {})[len(rows)] = means(group), _keeps_all(group, groups)
                 rows.append(mean_row(group, name_of(group)))
-        if reference := next(filter(None, map(printed, same)), None):  # one for all of them
-            others[len(rows)] = reference.values, reference.within
-            rows.append(printed_row(title(name), reference))
+        for group in [group for group in same if group.printed][:1]:  # one for all of them
+            others[len(rows)] = group.printed, _printed_within(group)
+            rows.append(printed_row(title(name), group))
     rows = mark(rows, best(others).union(*map(best, ours.values())))
     rows += [row for group in groups for row in run_rows(group)]
     words = f"{marking()}; among our means" + (
@@ -161,10 +160,20 @@ def mean_row(group: Group, name: str) -> Row:
     return Row(name, cells, ends, kind="mean")
 
 
-def printed_row(name: str, printed: Printed) -> Row:
-    """The row of printed numbers."""
-    cells = [Number(printed.values.get(m.name), m.digits) for m in measures()]
-    return Row(f"{name}, {printed.source}", [*cells, Number(None), Number(None)], kind="paper")
+def printed_row(name: str, group: Group) -> Row:
+    """The row of the numbers that are printed for a group."""
+    cells = [Number(group.printed.get(m.name), m.digits) for m in measures()]
+    return Row(f"{name}, {group.publication}", [*cells, Number(None), Number(None)], kind="paper")
+
+
+def _printed_within(group: Group) -> bool | None:
+    """Whether the printed J_C is within the preset's limit; None where that is not known."""
+    known = group.config.algorithm in ALGORITHMS
+    limit = (
+        getattr(preset(group.config.algorithm, group.task), "cost_limit", None) if known else None
+    )
+    j_c = group.printed.get("J_C")
+    return None if j_c is None or limit is None else j_c <= limit
 
 
 def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:

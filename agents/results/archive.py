@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.results import recorded
-from agents.results.reading import PICTURES, Group, Part, name_of_all
+from agents.results.reading import PICTURES, Group, Training, name_of_all
 from agents.training.config import CONFIG, RESULTS, STATUS, RunId, file_name
 from agents.training.derive import DRAWN_POLICIES, path_digits, smallest, thousandths
 from agents.training.files import UNREADABLE, whole, write_arrays
@@ -49,40 +49,40 @@ REPLACED = re.compile(r"(/return|/updates|/epochs|/(costs|info|trained|replay)/.
 
 def write_archive(path: Path, groups: Sequence[Group]) -> None:
     """Pack the trainings of some groups into one file, whole or not at all."""
-    parts = {part.folder: part for group in groups for part in group.parts}
+    trainings = {training.folder: training for group in groups for training in group.trainings}
     with whole(path) as target, zipfile.ZipFile(target, "w") as archive:
         archive.comment = name_of_all(groups).encode()
-        for folder, part in sorted(parts.items()):
+        for folder, training in sorted(trainings.items()):
             prefix = "" if folder == "." else folder + "/"
-            for name, data in _files(part).items():
+            for name, data in _files(training).items():
                 member = zipfile.ZipInfo(prefix + name)  # of a fixed date
                 # As a whole: arrays of runs are alike, and so are the names of hundreds.
                 archive.writestr(member, data, zipfile.ZIP_LZMA)
 
 
-def _files(part: Part) -> dict[str, bytes]:
+def _files(training: Training) -> dict[str, bytes]:
     """The files of a training in an archive; those of one that comes from an archive are kept."""
-    is_packed = any(name.endswith("/return/from") for name in part.arrays)
+    is_packed = any(name.endswith("/return/from") for name in training.arrays)
     names = (CONFIG, STATUS, RESULTS, PICTURES) if is_packed else (CONFIG, STATUS)
-    files = {n: (part.path / n).read_bytes() for n in names if (part.path / n).is_file()}
+    files = {n: (training.path / n).read_bytes() for n in names if (training.path / n).is_file()}
     if not is_packed:
-        files[RESULTS] = _npz(lean_results(part))
-        if pictures := lean_pictures(part):
+        files[RESULTS] = _npz(lean_results(training))
+        if pictures := lean_pictures(training):
             files[PICTURES] = _npz(pictures)
     return files
 
 
-def lean_results(part: Part) -> dict[str, NDArray]:
+def lean_results(training: Training) -> dict[str, NDArray]:
     """`results.npz` of an archive. A run that is damaged keeps its arrays as they are."""
-    arrays, metrics = part.arrays, part.arrays.get("metrics", np.array([], dtype=np.str_))
+    arrays, metrics = training.arrays, training.arrays.get("metrics", np.array([], dtype=np.str_))
     columns = [k for k, name in enumerate(metrics.tolist()) if name.startswith(MULTIPLIER)]
     kept: dict[str, NDArray] = {"metrics": metrics[columns]}
-    runs = {run.prefix.removesuffix("/"): run for run in part.config.runs}
+    runs = {run.prefix.removesuffix("/"): run for run in training.config.runs}
     damaged = []
     for prefix, run in runs.items():
         if f"{prefix}/length" in arrays:
             try:
-                kept |= _of_run(part, run, columns)
+                kept |= _of_run(training, run, columns)
             except (*UNREADABLE, UserError):
                 damaged.append(prefix)
     for name in arrays:
@@ -92,11 +92,11 @@ def lean_results(part: Part) -> dict[str, NDArray]:
     return kept
 
 
-def _of_run(part: Part, run: RunId, columns: Sequence[int]) -> dict[str, NDArray]:
+def _of_run(training: Training, run: RunId, columns: Sequence[int]) -> dict[str, NDArray]:
     """Episodes, recorded numbers and multipliers of a run."""
-    arrays, prefix = part.arrays, run.prefix
+    arrays, prefix = training.arrays, run.prefix
     kept: dict[str, NDArray] = {}
-    for cost in part.config.costs:
+    for cost in training.config.costs:
         records = records_of(arrays, prefix, cost)
         rows = np.stack([getattr(records, name) for name in OF_EPISODES], axis=1)
         kinds, kind = np.unique(rows, axis=0, return_inverse=True)
@@ -108,10 +108,10 @@ def _of_run(part: Part, run: RunId, columns: Sequence[int]) -> dict[str, NDArray
     lowest = numbers.min(initial=0)
     kept[prefix + "return"] = digits(numbers - lowest)
     kept[prefix + "return/from"] = np.array([lowest, scale])
-    records = records_of(arrays, prefix, part.config.costs[0])
+    records = records_of(arrays, prefix, training.config.costs[0])
     for name, _ in arrays.get(file_name(run.task) + "/info", ()):
         if f"{prefix}info/{name}/steps" in arrays:
-            values = part.of_steps(f"{prefix}info/{name}/", records.total_steps)
+            values = training.of_steps(f"{prefix}info/{name}/", records.total_steps)
             found = recorded.packed(values, records).items()
             kept |= {f"{prefix}info/{name}/{key}": array for key, array in found}
     if columns and prefix + "updates" in arrays:
@@ -122,25 +122,25 @@ def _of_run(part: Part, run: RunId, columns: Sequence[int]) -> dict[str, NDArray
     return kept
 
 
-def lean_pictures(part: Part) -> dict[str, NDArray]:
+def lean_pictures(training: Training) -> dict[str, NDArray]:
     """`pictures.npz` of an archive; a picture that is damaged is left out."""
     kept: dict[str, NDArray] = {}
-    for task in part.config.tasks:
+    for task in training.config.tasks:
         prefix = file_name(task) + "/"
         with contextlib.suppress(UserError, KeyError):
-            kept[prefix + "visits"] = digits(part.visits(task))
-            kept[prefix + "visited"] = part.arrays[prefix + "visited"]
-    first = part.config.seeds[:DRAWN_POLICIES]
-    for run in (run for run in part.config.runs if run.seed in first):
+            kept[prefix + "visits"] = digits(training.visits(task))
+            kept[prefix + "visited"] = training.arrays[prefix + "visited"]
+    first = training.config.seeds[:DRAWN_POLICIES]
+    for run in (run for run in training.config.runs if run.seed in first):
         with contextlib.suppress(*UNREADABLE, UserError):
-            kept |= _trained(part, run)
+            kept |= _trained(training, run)
         with contextlib.suppress(*UNREADABLE, UserError):
-            kept |= _replay(part, run)
+            kept |= _replay(training, run)
     return kept
 
 
-def _trained(part: Part, run: RunId) -> dict[str, NDArray]:
-    if not (episodes := part.trained(run)):
+def _trained(training: Training, run: RunId) -> dict[str, NDArray]:
+    if not (episodes := training.trained(run)):
         return {}
     positions, unsafe = zip(*episodes, strict=True)
     arrays: dict[str, NDArray] = {"states": smallest(np.array([*map(len, unsafe)]))}
@@ -151,16 +151,16 @@ def _trained(part: Part, run: RunId) -> dict[str, NDArray]:
     return {f"{run.prefix}trained/{name}": array for name, array in arrays.items()}
 
 
-def _replay(part: Part, run: RunId) -> dict[str, NDArray]:
-    if f"{run.prefix}length" not in part.arrays:
+def _replay(training: Training, run: RunId) -> dict[str, NDArray]:
+    if f"{run.prefix}length" not in training.arrays:
         return {}
-    replay = part.replay(run, records_of(part.arrays, run.prefix, part.config.costs[0]))
+    replay = training.replay(run, records_of(training.arrays, run.prefix, training.config.costs[0]))
     if replay is None:
         return {}
     points, unsafe = zip(*((e.points, e.unsafe) for e in replay.episodes), strict=True)
     arrays: dict[str, NDArray] = {"drawn": path_digits(np.concatenate(points))}
     arrays |= {"unsafe": np.packbits(np.concatenate(unsafe)), "box": replay.box}
-    arrays["steps"] = np.array(part.replay_steps(run))
+    arrays["steps"] = np.array(training.replay_steps(run))
     return {f"{run.prefix}replay/{name}": array for name, array in arrays.items()}
 
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
 from agents.presets import preset, usual_steps
 from agents.results.measures import measures
-from agents.results.reading import Group, Part, read_groups, run_records
+from agents.results.reading import Group, Training, read_groups, run_records
 from agents.training import evaluation
 from agents.training.config import POLICIES, RunId, TrainConfig
 from agents.training.files import Arrays, numbered
@@ -34,32 +34,21 @@ MOST_CHARACTERS = 40
 """Characters of a setting's value, at most, in a name."""
 
 
-class Printed(NamedTuple):
-    """Numbers that a publication prints for an algorithm on a task."""
-
-    values: Mapping[str, float]
-    """By the measure's name."""
-    within: bool
-    """Whether its J_C is within the cost limit."""
-    source: str
-    """Name of the publication, and its number of runs."""
-
-
-Reference = Callable[[Group], Printed | None]
-"""The printed numbers for a group's algorithm and task, None where there are none."""
-
-
 def read(
-    paths: Sequence[Path], window: int | None = None, printed: Reference | None = None
+    paths: Sequence[Path],
+    window: int | None = None,
+    printed: Callable[[Group], Group] | None = None,
 ) -> pandas.DataFrame:
     """The frame of all runs at or below some folders and in archives, complete or not.
 
-    window, and what is raised: see `reading.read_groups`. printed: whose numbers have rows too.
+    window, and what is raised: see `reading.read_groups`. printed: gives a group the numbers that a
+    publication prints for it, which have rows too.
     """
-    return frame(read_groups(paths, [], None, window), printed)
+    groups = read_groups(paths, [], None, window)
+    return frame([*map(printed, groups)] if printed else groups)
 
 
-def frame(groups: Sequence[Group], printed: Reference | None = None) -> pandas.DataFrame:
+def frame(groups: Sequence[Group]) -> pandas.DataFrame:
     """A row for each run and measure.
 
     source: "runs", or the publication whose numbers these are. group: number of the group, for
@@ -89,17 +78,16 @@ def frame(groups: Sequence[Group], printed: Reference | None = None) -> pandas.D
         for seed, why in group.missing.items():
             own = ("runs", *about, seed, None, "")
             rows += [(*own, m.stem, m.part, None, None, why) for m in every]
-        if reference := printed and printed(group):
-            own = (reference.source, *about, None, None, "")
-            values = [(m, reference.values[m.name]) for m in every if m.name in reference.values]
-            rows += [(*own, m.stem, m.part, None, value, "") for m, value in values]
+        own = (group.publication, *about, None, None, "")
+        values = [(m, group.printed[m.name]) for m in every if m.name in group.printed]
+        rows += [(*own, m.stem, m.part, None, value, "") for m, value in values]
     numbers = ("limit", "part", "window", "value")
     made = pd.DataFrame(rows, columns=list(COLUMNS)).astype(dict.fromkeys(numbers, float))
     return made.astype({"seed": "Int64", "steps": "Int64"})
 
 
 def long_frame(
-    trainings: Sequence[Part], rows: Literal["episodes", "updates", "evaluations"]
+    trainings: Sequence[Training], rows: Literal["episodes", "updates", "evaluations"]
 ) -> pandas.DataFrame:
     """A row for each episode, each epoch's update, or each evaluated episode of every run so far.
 
@@ -109,15 +97,15 @@ def long_frame(
     import pandas as pd
 
     columns_of = {"episodes": _episodes, "updates": _updates, "evaluations": _evaluations}[rows]
-    configs = [part.config for part in trainings]
+    configs = [training.config for training in trainings]
     frames, settings = [], [vars(c.hyperparameters) | c.task_parameters for c in configs]
     every = dict.fromkeys(name for own in settings for name in own)
     varied = [k for k in every if len({repr(own.get(k)) for own in settings}) > 1]
-    for part, own in zip(trainings, settings, strict=True):
-        about = {"folder": part.folder, "algorithm": part.config.algorithm}
+    for training, own in zip(trainings, settings, strict=True):
+        about = {"folder": training.folder, "algorithm": training.config.algorithm}
         about |= {name: own.get(name) for name in varied}
-        for run in part.config.runs:
-            columns = columns_of(part, run)
+        for run in training.config.runs:
+            columns = columns_of(training, run)
             count = len(next(iter(columns.values())))
             first = {**about, "task": run.task, "seed": run.seed}
             # Lists, since a hyper-parameter may be a tuple.
@@ -125,21 +113,21 @@ def long_frame(
     return pd.concat(frames, ignore_index=True)
 
 
-def _episodes(part: Part, run: RunId) -> dict[str, Any]:
+def _episodes(training: Training, run: RunId) -> dict[str, Any]:
     """Columns of the episodes of a run; costs by their names."""
-    first, *others = part.config.costs
-    records = run_records(part.arrays, run, first)
+    first, *others = training.config.costs
+    records = run_records(training.arrays, run, first)
     columns = {k: getattr(records, "reward" if k == "return" else k) for k in RECORD_COLUMNS}
     columns = {first if k == "cost" else k: column for k, column in columns.items()}
     for other in others:
-        of_other = run_records(part.arrays, run, other)
+        of_other = run_records(training.arrays, run, other)
         columns |= {other: of_other.cost, f"{other}_longest_streak": of_other.longest_streak}
     return columns
 
 
-def _updates(part: Part, run: RunId) -> dict[str, Any]:
+def _updates(training: Training, run: RunId) -> dict[str, Any]:
     """Columns of the updates of a run; `step`: environment steps taken by then."""
-    arrays = part.arrays
+    arrays = training.arrays
     if f"{run.prefix}updates" not in arrays:
         if f"{run.prefix}failure" in arrays and f"{run.prefix}length" not in arrays:
             return {"rollout": np.arange(0), "step": np.arange(0)}  # it failed in its first epoch
@@ -156,15 +144,15 @@ def _updates(part: Part, run: RunId) -> dict[str, Any]:
     )
 
 
-def _evaluations(part: Part, run: RunId) -> dict[str, Any]:
+def _evaluations(training: Training, run: RunId) -> dict[str, Any]:
     """Columns of the evaluated episodes of a run; `step`: environment steps taken by then; costs by
     their names."""
-    kept = numbered(part.path / POLICIES, run.prefix).items()
+    kept = numbered(training.path / POLICIES, run.prefix).items()
     sources: dict[int, tuple[Mapping[str, NDArray], str]]
     sources = {step: (Arrays(path), "") for step, path in kept}
-    if f"{run.prefix}evaluation/{evaluation.POLICIES[0]}/returns" in part.arrays:
-        sources[int(part.arrays[f"{run.prefix}length"].sum())] = part.arrays, run.prefix
-    names = ("step", "policy", "episode", "return", *part.config.costs, "length")
+    if f"{run.prefix}evaluation/{evaluation.POLICIES[0]}/returns" in training.arrays:
+        sources[int(training.arrays[f"{run.prefix}length"].sum())] = training.arrays, run.prefix
+    names = ("step", "policy", "episode", "return", *training.config.costs, "length")
     columns: dict[str, list[Any]] = {name: [] for name in names}
     for (step, (arrays, prefix)), policy in product(sources.items(), evaluation.POLICIES):
         own = f"{prefix}evaluation/{policy}"
@@ -223,17 +211,17 @@ def title_of_group(group: Group, more: str = "") -> str:
 def title_of(config: TrainConfig, task: str, more: str = "", steps: int | None = None) -> str:
     """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
     asked for."""
-    words = ", ".join(filter(None, [*differences(config, task, steps), more]))
+    words = ", ".join(filter(None, [*unusual_settings(config, task, steps), more]))
     return title(config.algorithm) + (f" ({words})" if words else "")
 
 
 def settings_of(group: Group) -> str:
     """The settings of a group that are not the usual ones, in words."""
-    words = differences(group.config, group.task, group.total_steps)
+    words = unusual_settings(group.config, group.task, group.total_steps)
     return ", ".join(filter(None, [*words, group.apart]))
 
 
-def differences(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
+def unusual_settings(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
     """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
     an unregistered algorithm no hyper-parameter: see `with_varied_settings`."""
     known = config.algorithm in ALGORITHMS

@@ -146,7 +146,7 @@ class Highlights(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Part:
+class Training:
     """A training's folder, on disk or in an archive, and the runs of one task in it."""
 
     path: AnyPath
@@ -269,18 +269,22 @@ class Group:
     config: TrainConfig
     runs: Sequence[RunResult]
     """Complete runs."""
-    parts: Sequence[Part] = field(repr=False)
+    trainings: Sequence[Training] = field(repr=False)
     missing: Mapping[int, str] = field(default_factory=dict)
     """Why the others are left out, by seed."""
     apart: str = ""
     """Words that tell it from a group of equal settings in another folder, if there is one."""
     cost: str = "cost"
     """The cost that its measures are of."""
+    printed: Mapping[str, float] = field(default_factory=dict)
+    """What a publication prints for its algorithm and task, by measure: see `paper.evidence`."""
+    publication: str = ""
+    """Its name, and its number of runs."""
 
     @property
     def title(self) -> str:
         """The folders as seen from beside the report's."""
-        return " + ".join(part.title for part in self.parts)
+        return " + ".join(own.title for own in self.trainings)
 
     @property
     def seeds(self) -> list[int]:
@@ -324,12 +328,12 @@ class Group:
     def visits(self) -> list[Visits] | None:
         """Visited states by third of training, of all complete runs; None without positions."""
         prefix, parts = file_name(self.task) + "/", []
-        for part in self.parts:
-            has_runs = not set(self.seeds).isdisjoint(part.config.seeds)
-            if has_runs and not part.has(prefix + "visits"):
+        for own in self.trainings:
+            has_runs = not set(self.seeds).isdisjoint(own.config.seeds)
+            if has_runs and not own.has(prefix + "visits"):
                 return None
             if has_runs:
-                parts.append((part.visits(self.task), part.get(prefix + "visited", len(PARTS), 3)))
+                parts.append((own.visits(self.task), own.get(prefix + "visited", len(PARTS), 3)))
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
         rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
@@ -341,31 +345,33 @@ class Group:
     def trained(self, seed: int) -> list[Drawn] | None:
         """Episodes of a trained policy, which the first `derive.DRAWN_POLICIES` runs have; None
         without positions."""
-        return self._part(seed).trained(RunId(self.task, seed))
+        return self._training(seed).trained(RunId(self.task, seed))
 
     def replay(self, run: RunResult) -> Highlights | None:
         """The episode of highest MCC in each window of a run's training; None without positions."""
-        return self._part(run.seed).replay(RunId(self.task, run.seed), run.records)
+        return self._training(run.seed).replay(RunId(self.task, run.seed), run.records)
 
     def replay_steps(self, run: RunResult) -> int:
         """Environment steps that the windows of a run's replay divide."""
-        return self._part(run.seed).replay_steps(RunId(self.task, run.seed))
+        return self._training(run.seed).replay_steps(RunId(self.task, run.seed))
 
     @property
     def recorded(self) -> dict[str, str]:
         """Units of what its task has recorded at each step, by name."""
-        with content_of(self.parts[0].path / RESULTS):
-            names = self.parts[0].arrays.get(file_name(self.task) + "/info", np.empty((0, 2), str))
+        with content_of(self.trainings[0].path / RESULTS):
+            names = self.trainings[0].arrays.get(
+                file_name(self.task) + "/info", np.empty((0, 2), str)
+            )
             return dict(names.tolist())
 
     def recorded_of(self, run: RunResult, name: str) -> Recorded:
         """A number that was recorded at each step of a run."""
         own = RunId(self.task, run.seed)
-        return self._part(run.seed).recorded_of(own, name, run.records, run.window)
+        return self._training(run.seed).recorded_of(own, name, run.records, run.window)
 
-    def _part(self, seed: int) -> Part:
-        """The part that has a seed."""
-        return next(part for part in self.parts if seed in part.config.seeds)
+    def _training(self, seed: int) -> Training:
+        """The training that has a seed."""
+        return next(own for own in self.trainings if seed in own.config.seeds)
 
 
 class LeftOut(str):
@@ -375,8 +381,8 @@ class LeftOut(str):
 def left_out(what: str, groups: Sequence[Group], error: UserError) -> LeftOut:
     """A note on what of some groups a report cannot show, since its arrays are damaged."""
     words = str(error)
-    for part in (part for group in groups for part in group.parts):
-        words = _relative(words, part.path, part.title)
+    for training in (own for group in groups for own in group.trainings):
+        words = _relative(words, training.path, training.title)
     titles = ", ".join(dict.fromkeys(group.title for group in groups))
     return LeftOut(f"left out: {what} of {titles}: {words}")
 
@@ -523,19 +529,21 @@ def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
 def _groups(path: AnyPath, folder: str, title: str, window: int | None) -> list[Group]:
     """The runs of a folder: a group for each task and cost."""
     config = TrainConfig.parse(read_json(path / CONFIG), title, strict=False)
-    part = Part(path, folder, title, results_of(path, config), config)
+    training = Training(path, folder, title, results_of(path, config), config)
     groups = []
     for task, cost in itertools.product(config.tasks, config.costs):
         runs, missing = [], {}
         for seed in config.seeds:
             try:
-                runs.append(_read_run(part.arrays, config, RunId(task, seed), cost, title, window))
+                runs.append(
+                    _read_run(training.arrays, config, RunId(task, seed), cost, title, window)
+                )
             except OwnCodeError:
                 raise
             except UserError as error:
                 missing[seed] = _relative(error, path, title)
         apart = "" if cost == config.costs[0] == "cost" else cost
-        groups.append(Group(folder, task, config, runs, [part], missing, apart, cost))
+        groups.append(Group(folder, task, config, runs, [training], missing, apart, cost))
     return groups
 
 
@@ -668,7 +676,7 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
                 folder=" + ".join(group.folder for group in same),
                 config=replace(same[0].config, seeds=tuple(seeds)),
                 runs=[run for group in same for run in group.runs],
-                parts=[part for group in same for part in group.parts],
+                trainings=[training for group in same for training in group.trainings],
                 missing={seed: why for group in same for seed, why in group.missing.items()},
             )
         )
@@ -686,5 +694,5 @@ def _settings(group: Group) -> tuple[Any, ...]:
 
 def name_of_all(groups: Sequence[Group]) -> str:
     """The name of the folder, archive or report that holds some groups."""
-    part = groups[0].parts[0]
-    return part.title if part.folder == "." else part.title.removesuffix(f"/{part.folder}")
+    own = groups[0].trainings[0]
+    return own.title if own.folder == "." else own.title.removesuffix(f"/{own.folder}")

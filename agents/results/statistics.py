@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from agents.results.reading import Group, RunResult
 from emcc import Interval, Share
 from emcc.parts import PARTS
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
+
+if TYPE_CHECKING:
+    import pandas
 
 Key = TypeVar("Key", bound=Hashable)
 Values = Sequence[float | None]
@@ -213,56 +216,29 @@ def alike(groups: Sequence[Group]) -> list[Group]:
     return [over_windows(group) for group in groups] if mixed(groups) else list(groups)
 
 
-class Comparison(NamedTuple):
-    """Two algorithms on a task in a third of training."""
+def comparisons(groups: Sequence[Group]) -> pandas.DataFrame:
+    """A row for each pair of groups on a task, of one cost, in each third of training. Groups of
+    fewer than five runs are in none.
 
-    a: Group
-    b: Group
-    part: float
-    """The third, as in `emcc.parts.PARTS`."""
-    rate_p: float
-    """Permutation test of the cost rates."""
-    equivalence_p: float
-    """Equivalence test of the cost rates with `MARGIN`."""
-    emcc_p: float
-    """Permutation test of EMCC, corrected for all comparisons (Holm)."""
+    a, b: the groups. part: the third, as in `emcc.parts.PARTS`. rate_p: permutation test of the
+    cost rates; equivalence_p: their equivalence test with `MARGIN`; equal_rates: they are
+    equivalent, and not told apart. emcc_p: permutation test of EMCC, corrected for all rows (Holm).
+    """
+    import pandas as pd
 
-    @property
-    def equal_rates(self) -> bool:
-        """Whether the cost rates are not told apart and equivalent."""
-        return self.rate_p > LEVEL >= self.equivalence_p
-
-    @property
-    def separated(self) -> bool:
-        """Whether EMCC tells them apart and the cost rate does not."""
-        return self.equal_rates and self.emcc_p <= LEVEL
-
-
-def comparisons(groups: Sequence[Group]) -> list[Comparison]:
-    """All pairs of groups on a task, of one cost, in each third. Groups of fewer than five runs are
-    in none."""
     enough = [group for group in groups if len(group.runs) >= FEWEST_RUNS]
     found = {id(g): (by_third(g, "rate"), by_third(g, "EMCC")) for g in enough}
-    compared = []
+    rows = []
     for a, b in combinations(enough, 2):
         if (a.task, a.cost) != (b.task, b.cost):
             continue
         (rates_a, emccs_a), (rates_b, emccs_b) = found[id(a)], found[id(b)]
         for part in [p for p in rates_a if p in rates_b]:
-            rates = rates_a[part], rates_b[part]
-            equal = emcc.equivalence_test(*rates, MARGIN, rng=np.random.default_rng(0))
-            rate_p, emcc_p = (
-                emcc.permutation_test(*both, rng=np.random.default_rng(0))
-                for both in (rates, (emccs_a[part], emccs_b[part]))
-            )
-            compared.append(Comparison(a, b, part, rate_p, equal, emcc_p))
-    p_values = emcc.holm([pair.emcc_p for pair in compared]) if compared else ()
-    corrected_pairs = zip(compared, p_values, strict=True)
-    return [pair._replace(emcc_p=float(p)) for pair, p in corrected_pairs]
-
-
-Matrices = Mapping[str, NDArray[np.float64]]
-"""Values [seeds, tasks] by the measure's name."""
+            rates, emccs = (rates_a[part], rates_b[part]), (emccs_a[part], emccs_b[part])
+            rows.append((a, b, part, p_of(*rates), equivalence_of(*rates, MARGIN), p_of(*emccs)))
+    told = pd.DataFrame(rows, columns=["a", "b", "part", "rate_p", "equivalence_p", "emcc_p"])
+    told["equal_rates"] = (told.rate_p > LEVEL) & (told.equivalence_p <= LEVEL)
+    return told.assign(emcc_p=emcc.holm(told.emcc_p)) if rows else told
 
 
 def common_measures() -> list[Measure]:
@@ -271,10 +247,11 @@ def common_measures() -> list[Measure]:
     return [m for m in measures() if m.of == "training" and m.better != "neither"]
 
 
-def matrices(groups: Sequence[Group], fewest: int) -> Matrices:
-    """Values of the seeds that the groups, one of each task, have in common; those known alone.
+def on_common_seeds(groups: Sequence[Group], fewest: int) -> dict[str, NDArray[np.float64]]:
+    """Measures that tasks share, [seeds, tasks], of the seeds that the groups, one of each task,
+    have in common; those known alone.
 
-    Empty where these are fewer than `fewest`.
+    Empty where these seeds are fewer than `fewest`.
     """
     seeds = sorted(set.intersection(*(set(group.seeds) for group in groups)))
     if len(seeds) < fewest:
@@ -287,60 +264,47 @@ def matrices(groups: Sequence[Group], fewest: int) -> Matrices:
     return {name: table for name, table in values.items() if not np.isnan(table).any()}
 
 
-def bootstrapped(
-    statistic: Callable[..., float], *sets: NDArray[np.float64] | None
-) -> Interval | None:
-    """A statistic of values [seeds, tasks] with its stratified interval; None where some lack."""
-    there = [values for values in sets if values is not None]
-    if len(there) < len(sets):
-        return None
-    return emcc.bootstrap(statistic, *there, rng=np.random.default_rng(0), resamples=1_000)
+def bootstrapped(statistic: Callable[..., float], *sets: NDArray[np.float64]) -> Interval:
+    """A statistic of values [seeds, tasks] with its stratified interval."""
+    return emcc.bootstrap(statistic, *sets, rng=np.random.default_rng(0), resamples=1_000)
 
 
-class TwoSets(NamedTuple):
-    """Values of two sets of runs on the same tasks; measures that a side does not know are not
-    there."""
+def differences_of_sets(
+    a: Mapping[str, NDArray], b: Mapping[str, NDArray], gaps: bool = True
+) -> dict[str, Difference]:
+    """B - A of the means over seeds and tasks, by the measures that tasks share.
 
-    a: Matrices
-    b: Matrices
-
-    @property
-    def tasks(self) -> int:
-        """Number of tasks."""
-        return next(iter(self.a.values())).shape[1]
-
-    @property
-    def size(self) -> str:
-        """Tasks, and seeds of either side, in words."""
-        seeds = [len(next(iter(side.values()))) for side in (self.b, self.a)]
-        return f"{self.tasks} tasks, {seeds[0]} seeds against {seeds[1]}"
-
-    def differences(self, gaps: bool = True) -> dict[str, Difference]:
-        """B - A of the means over seeds and tasks, by the measures that tasks share.
-
-        gaps: whether the differences themselves are asked for, besides the test.
-        """
-        told = {}
-        for m in common_measures():
-            a, b = self.a.get(m.name), self.b.get(m.name)
-            gap = bootstrapped(lambda a, b: float(b.mean() - a.mean()), a, b) if gaps else None
-            rng = np.random.default_rng(0)
-            p = None if a is None or b is None else emcc.permutation_test(a, b, rng=rng)
-            sides = (b, a) if m.better == "higher" else (a, b)
-            better = bootstrapped(emcc.probability_of_improvement, *sides)
-            told[m.name] = Difference(gap, p, better)
-        return told
+    a, b: see `on_common_seeds`. gaps: whether the differences themselves are asked for, besides the
+    test.
+    """
+    told = {}
+    for m in common_measures():
+        if m.name not in a or m.name not in b:
+            told[m.name] = Difference(None, None, None)
+            continue
+        sides = a[m.name], b[m.name]
+        gap = bootstrapped(lambda a, b: float(b.mean() - a.mean()), *sides) if gaps else None
+        p = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
+        better = sides[::-1] if m.better == "higher" else sides
+        told[m.name] = Difference(gap, p, bootstrapped(emcc.probability_of_improvement, *better))
+    return told
 
 
-def two_sets(named: Iterable[tuple[str, Pair]]) -> dict[str, TwoSets]:
-    """The values of groups A and B, a pair for each task, by their name; of those that are there on
-    two tasks or more, with two seeds or more that all tasks have."""
+OverTasks = Mapping[tuple[str, str, str], Mapping[str, Difference]]
+"""Differences B - A over tasks by the pair's name, "4 tasks" and "10 seeds against 10"."""
+
+
+def pairs_over_tasks(named: Iterable[tuple[str, Pair]]) -> OverTasks:
+    """The differences of groups A and B, a pair for each task, by their name; of those that are
+    there on two tasks or more, with two seeds or more that all tasks have."""
     by_name: dict[str, list[Pair]] = {}
     for name, pair in named:
         by_name.setdefault(name, []).append(pair)
-    sets = {}
+    told = {}
     for name, pairs in by_name.items():
-        a, b = (matrices(groups, 2) for groups in zip(*pairs, strict=True))
+        a, b = (on_common_seeds(groups, 2) for groups in zip(*pairs, strict=True))
         if len(pairs) > 1 and a and b:
-            sets[name] = TwoSets(a, b)
-    return sets
+            seeds = [len(next(iter(side.values()))) for side in (b, a)]
+            key = name, f"{len(pairs)} tasks", f"{seeds[0]} seeds against {seeds[1]}"
+            told[key] = differences_of_sets(a, b)
+    return told

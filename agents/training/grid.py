@@ -13,14 +13,14 @@ from typing import Any
 
 from agents.algorithms import algorithm
 from agents.errors import UserError
-from agents.presets import preset, usual_steps
+from agents.presets import preset_with, usual_steps
 from agents.training.config import CONFIG, TrainConfig, file_name
 from agents.training.environments import spaces_of
 
 MOST_RUNS = 12
 """In a training of several tasks; more make a step of each hardly cheaper."""
-Variants = Callable[[str, str], Mapping[str, Any]]
-"""(algorithm, task) -> hyper-parameters beside the preset, by the ending of their folder."""
+Variants = Callable[[str, str], Mapping[str, Mapping[str, Any]]]
+"""(algorithm, task) -> values instead of the preset's, by the ending of their folder."""
 
 
 def grid(
@@ -47,9 +47,9 @@ def grid(
         choices: dict[str, dict[str, Any]] = {}  # hyper-parameters by folder, then task
         for task in tasks:
             others = variants(name, task) if variants else {}
-            chosen = {name: preset(name, task)} | {f"{name}-{k}": v for k, v in others.items()}
-            for folder, hyperparameters in chosen.items():
-                choices.setdefault(folder, {})[task] = hyperparameters
+            changed = {name: {}} | {f"{name}-{ending}": v for ending, v in others.items()}
+            for folder, values in changed.items():
+                choices.setdefault(folder, {})[task] = preset_with(name, task, values)
         for folder, by_task in choices.items():
             lengths = {task: steps or usual_steps(task) for task in by_task}
             alike = len({repr((by_task[task], lengths[task])) for task in by_task}) == 1

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agents import algorithms
 from agents.paper.grid import PAPER_ALGORITHMS
-from agents.reporting.maps import Column, heat_figure
+from agents.reporting.maps import HeatColumn, heat_figure
 from agents.reporting.pictures import write_picture
 from agents.results.reading import Group, read_groups
 from circle2d_mj import Circle2DConfig
@@ -29,7 +29,7 @@ def physics(kinematic: Path, with_physics: Path, level: int, third: int, picture
     for name in PAPER_ALGORITHMS:
         both = [groups[f"{task.format(level)}/{name}"] for task in TASKS]
         visits = [group.visits()[third] for group in both]
-        columns.append(Column(algorithms.title(name), views, visits))
+        columns.append(HeatColumn(algorithms.title(name), views, visits))
     write_picture(picture, heat_figure(columns, list(TASKS.values()), SIZE))
 
 

@@ -8,7 +8,7 @@ from small_runs import cells, write_evaluated
 
 from agents.paper.grid import ablations
 from agents.paper.sections import STUDY
-from agents.presets import preset
+from agents.presets import preset, preset_with
 from agents.reporting.report import table
 from agents.reporting.table import markdown
 from agents.training.grid import grid
@@ -65,7 +65,7 @@ ENDS = ((-0.5, 0.0), (1.0, 0.0))
 @pytest.fixture
 def folder(tmp_path):
     write_runs(tmp_path / "trpo-lag", "trpo-lag", [-10.0, -20.0, -12.0], ends=ENDS)
-    sgd = ablations("trpo-lag", TASK)["sgd"]
+    sgd = preset_with("trpo-lag", TASK, ablations("trpo-lag", TASK)["sgd"])
     write_runs(tmp_path / "trpo-lag-sgd", "trpo-lag", [-1.0, -3.0], sgd, ends=ENDS)
     write_runs(tmp_path / "cpo", "cpo", [-30.0, -32.0], ends=ENDS)
     return tmp_path
@@ -101,10 +101,9 @@ def test_both_choices_side_by_side(folder):
 
 def test_each_part_of_sac_lb_streak_is_left_out_once():
     usual, plain = preset("sac-lb-streak", TASK), preset("sac-lb", TASK)
-    changed = {
-        choice: {k for k, v in vars(other).items() if v != getattr(usual, k)}
-        for choice, other in ablations("sac-lb-streak", TASK).items()
-    }
+    choices = ablations("sac-lb-streak", TASK)
+    changed = {choice: {*values} for choice, values in choices.items()}
+    assert all(v != getattr(usual, k) for values in choices.values() for k, v in values.items())
     assert changed == {
         "without-streak": {"streak_weight"},
         "without-brown": {"random_exponent"},
@@ -115,23 +114,23 @@ def test_each_part_of_sac_lb_streak_is_left_out_once():
         "without-speed": {"learning_rate", "temperature_lr", "batch_size", "gradient_steps"},
         "margin": {"streak_weight", "cost_limit"},
     }
-    unscaled = ablations("sac-lb-streak", TASK)["without-scale"]  # the bonus's distance: 2 of 15
-    assert unscaled.novelty_length == pytest.approx(2.0 / 15)
+    unscaled = choices["without-scale"]["novelty_length"]  # the bonus's distance: 2 of 15
+    assert unscaled == pytest.approx(2.0 / 15)
     changed["without-scale"].remove("novelty_length")
     # Together the parts are all that it has beside SAC-LB.
     parts = set().union(*(of for choice, of in changed.items() if choice != "margin"))
     assert parts == {k for k, v in vars(usual).items() if v != getattr(plain, k)}
     for choice in changed.keys() - {"margin"}:
-        other = ablations("sac-lb-streak", TASK)[choice]
-        assert all(getattr(other, k) == getattr(plain, k) for k in changed[choice])
-    assert ablations("sac-lb-streak", TASK)["margin"].cost_limit == 3.5
+        assert all(choices[choice][k] == getattr(plain, k) for k in changed[choice])
+    assert choices["margin"]["cost_limit"] == 3.5
     assert ablations("sac-lb-streak", SAFETY) == {}
 
 
 def test_parts_have_a_table_of_their_own(tmp_path):
-    choices = {"": None} | ablations("sac-lb-streak", TASK)  # in their order, not of the folders
-    for value, (choice, config) in enumerate(choices.items()):
+    choices = {"": {}} | ablations("sac-lb-streak", TASK)  # in their order, not of the folders
+    for value, (choice, values) in enumerate(choices.items()):
         folder, j_r = tmp_path / f"of-{choice}", [-10.0 - value, -20.0]
+        config = preset_with("sac-lb-streak", TASK, values)
         write_runs(folder, "sac-lb-streak", j_r, config, ends=ENDS)
     words = markdown(table(tmp_path, STUDY))
     assert "Other choices of what the paper does not print" not in words
@@ -153,7 +152,8 @@ def test_parts_over_all_tasks(tmp_path):
         usual = tmp_path / task / "preset"
         write_runs(usual, "sac-lb-streak", [-10.0, -20.0], task=task, ends=ENDS)
         for choice in shown:
-            folder, config = tmp_path / task / choice, choices[choice]
+            folder = tmp_path / task / choice
+            config = preset_with("sac-lb-streak", task, choices[choice])
             write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)
     words = markdown(table(tmp_path, STUDY))
     found = cells(words[words.index("| over all tasks") :])

@@ -16,7 +16,7 @@ from toys import registered
 
 from agents.reporting.figures import task_figures
 from agents.reporting.maps import (
-    SIZE,
+    SCENE_SIZE,
     Map,
     Scenes,
     heat_png,
@@ -48,8 +48,8 @@ def groups(tmp_path):
     edit_results(tmp_path / "b", **{"Circle2D-3-v0__visits": None})
     a, b, c = groups_of(*(tmp_path / name for name in ("a", "b", "c")))
     alone = derive.derived(tmp_path / "c", replace(c.config, seeds=(1,)))
-    part = replace(c.parts[0], arrays=alone, config=replace(c.config, seeds=(1,)))
-    return [a, b, replace(c, runs=c.runs[1:], parts=[part])]
+    part = replace(c.trainings[0], arrays=alone, config=replace(c.config, seeds=(1,)))
+    return [a, b, replace(c, runs=c.runs[1:], trainings=[part])]
 
 
 def test_the_layers_are_those_of_the_view():
@@ -61,9 +61,9 @@ def test_the_layers_are_those_of_the_view():
     assert scenes.all == [scene]
     view = Circle2DView(Circle2DConfig(level=3))
     below, above = image_of(scene.below)[..., :3], image_of(scene.above)
-    np.testing.assert_array_equal(below, view.background(SIZE))
+    np.testing.assert_array_equal(below, view.background(SCENE_SIZE))
     rng = np.random.default_rng(0)
-    heat = rng.integers(0, 256, (SIZE, SIZE, 3)).astype(np.uint8)
+    heat = rng.integers(0, 256, (SCENE_SIZE, SCENE_SIZE, 3)).astype(np.uint8)
     share = above[..., 3:] / 255
     mixed = heat * (1 - share) + above[..., :3] * share
     assert np.abs(mixed - view.overlay(heat)).max() <= 3

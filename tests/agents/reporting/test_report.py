@@ -24,7 +24,6 @@ from agents.reporting.report import report, table
 from agents.reporting.study import Study
 from agents.reporting.table import Number, Row, Table, markdown
 from agents.reporting.tables import best
-from agents.results.frame import Printed
 from agents.results.reading import read_groups
 from agents.training import config
 from agents.training.config import TrainConfig
@@ -50,7 +49,7 @@ class Own(Study):
     """A study with a number and a claim."""
 
     def printed(self, group):
-        return Printed({"J_R": 7.0}, True, "book (9 seeds)")
+        return replace(group, printed={"J_R": 7.0}, publication="book (9 seeds)")
 
     def claims(self, groups):
         verdict = f"of {len(groups)} groups"
@@ -300,5 +299,5 @@ def test_no_printed_numbers_beside_a_task_with_other_parameters(tmp_path):
         assert ("paper (3 seeds)" in markdown(table(tmp_path, STUDY))) is ("paper" in kinds)
         found = {line["kind"] for line in lines_of(tmp_path / "report.csv")}
         assert found & {"mean", "run", "paper"} == kinds
-        ties = ties_table(read_groups([tmp_path], []))
+        ties = ties_table([*map(STUDY.printed, read_groups([tmp_path], []))])
         assert {row.kind for row in ties.rows} == kinds - {"run"}

@@ -1,6 +1,7 @@
 """Measures: the tidy frame of them, means, one from outside, and those that runs lack."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from agents.paper.sections import STUDY
 from agents.reporting.compare import compare
 from agents.reporting.provenance import summary
 from agents.reporting.report import report
-from agents.results.frame import COLUMNS, Printed, frame
+from agents.results.frame import COLUMNS, frame
 from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read_groups
 from agents.results.statistics import difference_of, mean_of, within_limit
@@ -40,7 +41,8 @@ def outside():
 def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
     write_evaluated(a / "trpo-lag", "trpo-lag", costs=(4, 5))
-    other = ablations("trpo-lag", "Circle2D-1-v0")["sgd"]
+    values = ablations("trpo-lag", "Circle2D-1-v0")["sgd"]
+    other = presets.preset_with("trpo-lag", "Circle2D-1-v0", values)
     write_evaluated(a / "sgd", "trpo-lag", costs=(6, 6), hyperparameters=other)
     write_evaluated(a / "cpo", "cpo", costs=(3, 3))
     write_evaluated(a / "wcsac", "wcsac", costs=(9, 9))
@@ -208,7 +210,7 @@ def test_a_frame_of_folders(tmp_path):
     np.savez(path, **arrays)
 
     def printed(group):
-        return Printed({"J_C": 7.0}, False, "book (9 seeds)")
+        return replace(group, printed={"J_C": 7.0}, publication="book (9 seeds)")
 
     tidy = results.read([tmp_path], window=2, printed=printed)
     runs, book = tidy[tidy["source"] == "runs"], tidy[tidy["source"] == "book (9 seeds)"]

@@ -80,7 +80,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     with_it = agents.train("sac-lag", "Pressed-v0", out=tmp_path / "a", **more)
     write_archive(tmp_path / "a.zip", with_it.results)
     [kept], [own] = (read_groups([path], []) for path in (tmp_path / "a.zip", with_it.folder))
-    assert "Pressed-v0/3/info/beyond/unsafe" not in kept.parts[0].arrays
+    assert "Pressed-v0/3/info/beyond/unsafe" not in kept.trainings[0].arrays
     assert str(recorded_table([kept])) == str(recorded_table([own])) != "None"
     x, beyond = (kept.recorded_of(kept.runs[0], name) for name in ("x", "beyond"))
     assert x.lowest < 0 == beyond.lowest
@@ -108,7 +108,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     with np.load(without.folder / "results.npz") as fewer:
         assert not [name for name in fewer if "info" in name]
         for name, array in fewer.items():
-            np.testing.assert_array_equal(own.parts[0].arrays[name], array)
+            np.testing.assert_array_equal(own.trainings[0].arrays[name], array)
 
 
 @pytest.mark.parametrize("least", [0.00123, 0.5, 9.99, 10.0, 99.5, 1e5])
