@@ -1,6 +1,7 @@
 """Circle2D-3 with cut-outs a step less deep, so that the wall to the corridor is a step thicker.
 
-The paper prints no size of a cut-out. Whether results hang on ours: results/README.md.
+The sizes of cut-outs are not specified in the paper. Whether results depend on ours:
+results/README.md.
 
 Run here:
 

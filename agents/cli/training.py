@@ -352,7 +352,7 @@ class ReproduceOptions(Spread, Settings):
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the tasks, as NAME VALUE ..., e.g. contact soft stiffness 200."""
     ablations: bool = False
-    """Also run other values of settings that the paper does not print: TRPO-Lag's multiplier
+    """Also run other values of settings that the paper does not specify: TRPO-Lag's multiplier
     optimiser, bootstrapping at the time limit off-policy, observations in units of length, and
     WCSAC as in a later library. For SAC-LB-Streak, leave out one part at a time."""
     seeds: tuple[int, ...] | None = None

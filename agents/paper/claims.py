@@ -406,7 +406,7 @@ def check_claims(groups: Sequence[Group]) -> list[Statement]:
 
     Runs with other settings or task parameters decide nothing, and neither do runs of other length
     than the paper's, or fewer than are needed. Runs with another choice of what the paper does not
-    print tell where the verdict hangs on it.
+    specify tell where the verdict depends on it.
     """
     evidence = gather(groups)
     if not any(cell.full for cell in evidence.values()):

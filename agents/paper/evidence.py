@@ -97,7 +97,7 @@ class Finding(NamedTuple):
 
 class Cell(NamedTuple):
     """The runs of an algorithm on a task with the preset, or with another choice of what the paper
-    does not print."""
+    does not specify."""
 
     task: str
     algorithm: str

@@ -1,5 +1,5 @@
 """The paper's experiments as data: which trainings there are, in which order, and the choices of
-settings that it does not print."""
+settings that it does not specify."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def benchmark(
 
 
 class Unprinted(NamedTuple):
-    """A hyper-parameter that the paper does not print, and that decides how runs end."""
+    """A hyper-parameter that the paper does not specify, and that decides how runs end."""
 
     field: str
     choices: dict[str, str]
@@ -94,7 +94,7 @@ TIME_LIMIT = Unprinted(
 
 
 def unprinted(name: str) -> Unprinted | None:
-    """The hyper-parameter that decides and that the paper does not print; None where there is none.
+    """The hyper-parameter that decides and is not specified in the paper; None where there is none.
 
     The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
     ends an episode of Circle2D for good decides where the off-policy methods end up. What either
@@ -128,8 +128,8 @@ LIMIT_MARGIN = 1.5
 def ablations(name: str, task: str) -> dict[str, dict[str, Any]]:
     """Values instead of the preset's, by the name of the change: several for each algorithm.
 
-    For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
-    of observations is one of them: "units" is that of length instead of the half arena. For
+    For the paper's algorithms: other choices of what the paper does not specify. On Circle2D the
+    unit of observations is one of them: "units" is that of length instead of the half arena. For
     SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `STREAK_PARTS`, and a lower cost limit
     in the place of the streak cost. Without the unit of length the bonus for new states keeps its
     length between positions; with physics it counts a place anew at every speed.

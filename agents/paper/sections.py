@@ -49,11 +49,11 @@ METHOD = (
     "by the number of its parts. EMCC is as the paper defines it, over rollouts, of an epoch or an "
     f"episode; where a claim compares on- and off-policy methods, over windows of {ACROSS} "
     "episodes. "
-    f"{HANGS}: the verdict hangs on what the paper does not print. "
+    f"{HANGS}: the verdict depends on what the paper does not specify. "
     '"With bootstrap: undecided": the verdict with runs of another choice of that in the place of '
     "the preset's."
 )
-CHOICES = "Other choices of what the paper does not print"
+CHOICES = "Other choices of what the paper does not specify"
 CHOICES_MEANING = (
     "adam, sgd: TRPO-Lag's multiplier ascends by Adam or by the plain gradient; terminal, "
     "bootstrap: a time limit ends an episode for good or not; library: WCSAC as in a later library "
@@ -87,7 +87,7 @@ class Paper(Study):
         return printed(group)
 
     def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
-        """Other choices of what the paper does not print, beside the preset, have their tables."""
+        """Choices that the paper does not specify, beside the preset, have their tables."""
         usual, pairs = split(groups)
         if not pairs:
             return usual, {}
@@ -105,7 +105,7 @@ class Paper(Study):
         return usual, {name: table for name, table in tables.items() if table is not None}
 
     def notes(self, groups: Sequence[Group]) -> list[str]:
-        """The settings of our presets that the paper does not print, and what it did otherwise."""
+        """Settings of our presets that the paper does not specify, and what it did otherwise."""
         task = groups[0].task
         titles: dict[str, dict[str, None]] = {}
         for group in (group for group in groups if group.printed):
@@ -114,7 +114,7 @@ class Paper(Study):
                 choice = getattr(config.hyperparameters, setting.field)
                 titles.setdefault(setting.choices[choice], {})[title(config.algorithm)] = None
         decides = ", which decides where runs end" if is_circle2d(task) else ""
-        source = f"The paper does not print this choice{decides}."
+        source = f"The paper does not specify this choice{decides}."
         notes = [f"{', '.join(names)}: {meaning}. {source}" for meaning, names in titles.items()]
         if registered_id(task) in SAFETY:
             notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")
@@ -135,7 +135,7 @@ STUDY = Paper()
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
     """The groups to report as usual, and the pairs of a preset's group and an ablated one.
 
-    Ablated is a group with another choice of what the paper does not print (`grid.ablations`)
+    Ablated is a group with another choice of what the paper does not specify (`grid.ablations`)
     while nothing else differs from the preset, where the preset's group is there too; without it,
     it is a group like any other.
     """

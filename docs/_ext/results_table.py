@@ -206,7 +206,7 @@ def _place(name: str) -> int:
 def safety() -> list[str]:
     """A row for each of the paper's Safety tasks and algorithm that trained there at the paper's
     length: means, the paper's in brackets, and runs within the limit. Second rows are of other
-    choices of what the paper does not print."""
+    choices of what the paper does not specify."""
     lines, rows = report("safety"), []
     for task in (POINT_CIRCLE, POINT_GOAL, HOPPER):
         ended = map(TERMINAL.format, ALGORITHMS)

@@ -1,4 +1,4 @@
-"""Both choices of settings that the paper does not print: their runs, and their table."""
+"""Both choices of settings that the paper does not specify: their runs, and their table."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -73,7 +73,7 @@ def folder(tmp_path):
 
 def test_both_choices_side_by_side(folder):
     words = markdown(table(folder, STUDY))
-    start = words.index("Other choices of what the paper does not print")
+    start = words.index("Other choices of what the paper does not specify")
     end = words.index("Measures, over all tasks, in which")
     main_table, ablated = cells(words[:start]), cells(words[start:end])
     assert [row[0] for row in ablated[1:]] == [
@@ -133,7 +133,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
         config = preset_with("sac-lb-streak", TASK, values)
         write_runs(folder, "sac-lb-streak", j_r, config, ends=ENDS)
     words = markdown(table(tmp_path, STUDY))
-    assert "Other choices of what the paper does not print" not in words
+    assert "Other choices of what the paper does not specify" not in words
     start = words.index("SAC-LB-Streak without one of its parts")
     main_table, of_parts = cells(words[:start]), cells(words[start:])[1:]
     assert [row[0] for row in of_parts] == [
