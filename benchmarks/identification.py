@@ -118,7 +118,7 @@ def proposed(distance: Mapping[Setting, float]) -> list[Setting]:
     best = min(found, key=distance.__getitem__)
     found += [dataclasses.replace(best, **values) for values in SINGLE]
     options = {k: getattr(best, k) for k in FACTORS if k not in ("depth", "step", "units")}
-    others = [own for own in first if own != dataclasses.replace(first[0])][:OTHERS]
+    others = first[1 : 1 + OTHERS]
     found += [dataclasses.replace(own, **options) for own in others]
     return list(dict.fromkeys(found))
 
