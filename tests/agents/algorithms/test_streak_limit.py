@@ -116,9 +116,12 @@ def test_the_quantile_is_of_the_last_hundred_episodes():
     assert level.tolist() == [119]
 
 
-def test_reports_and_evaluations_show_both(tmp_path):
-    options = {"steps": 300, "seeds": 0, "episodes": 2, "hidden": (8,), "streak_limit": 3.0}
-    runs = agents.train("trpo-lag", "Circle2D-1-v0", out=tmp_path / "run", **options)
+@pytest.mark.parametrize(
+    ("name", "own"), [("trpo-lag", {"episodes": 2}), ("sac-lag", {"random_steps": 260})]
+)
+def test_reports_and_evaluations_show_both(tmp_path, name, own):
+    options = {"steps": 300, "seeds": 0, "hidden": (8,), "streak_limit": 3.0, **own}
+    runs = agents.train(name, "Circle2D-1-v0", out=tmp_path / "run", **options)
     assert [group.cost for group in runs.results] == ["cost", "record_cost"]
     plain, records = (runs.records_of(name) for name in ("cost", "record_cost"))
     (own,), (of_records,) = plain.values(), records.values()
