@@ -25,6 +25,7 @@ from agents.results.reading import Group, LeftOut, read_groups
 from agents.results.statistics import INTERVALS, common_limit
 from agents.training.files import check_file, write_whole
 from emcc.parts import ALPHA
+from emcc.statistics import FEWEST_RUNS
 
 SUFFIXES = (".pdf", ".svg", ".png", ".pgf")
 """Kinds of files; .pgf, which LaTeX reads as its own drawing, needs xelatex."""
@@ -176,7 +177,10 @@ def _save(figure: Any, out: Path) -> None:
 def _caption(tasks: Mapping[str, Sequence[Group]], measures: Sequence[str]) -> str:
     seeds = {len(group.runs) for groups in tasks.values() for group in groups}
     runs = " to ".join(map(str, sorted({min(seeds), max(seeds)})))
-    words = f"Training's episodes. Lines: mean over {runs} seeds; areas: {INTERVALS}."
+    # Brackets mark intervals in tables alone.
+    areas = INTERVALS.translate({ord("["): "", ord("]"): ""})
+    areas = "their range" if max(seeds) < FEWEST_RUNS else areas
+    words = f"Training's episodes. Lines: mean over {runs} seeds; areas: {areas}."
     if "emcc" in measures:
         words += f" EMCC: α = {ALPHA:g}, in a window of a tenth of training."
     return words

@@ -77,5 +77,5 @@ def test_the_command_prints_the_caption(runs, tmp_path, capsys):
     assert main(["plot", str(runs), "--out", str(out), "--measure", "emcc"]) == 0
     path, caption = capsys.readouterr().out.splitlines()
     assert path == str(out)
-    assert "mean over 2 to 3 seeds" in caption
+    assert "mean over 2 to 3 seeds; areas: their range." in caption
     assert "α = 0.1" in caption
