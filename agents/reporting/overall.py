@@ -116,8 +116,8 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
     pairs = comparisons([group for own in by_task(groups).values() for group in own])
     if pairs.empty:
         return None
-    not_told, equal = pairs[pairs.rate_p > LEVEL], pairs[pairs.equal_rates]
-    shown, differ = equal[equal.emcc_p <= LEVEL], (not_told.emcc_p <= LEVEL).sum()
+    not_told, equal = pairs.loc[pairs.rate_p > LEVEL], pairs.loc[pairs.equal_rates]
+    shown, differ = equal.loc[equal.emcc_p <= LEVEL], (not_told.emcc_p <= LEVEL).sum()
     words = (
         f"Of {len(pairs)} comparisons the cost rate does not tell {len(not_told)} apart, of which "
         f"EMCC tells {differ} apart; {len(equal)} have equal cost rates, of which EMCC tells "

@@ -7,10 +7,8 @@ Beside config.json and status.json a training has there, with names as in `train
   `return/from`: see `emcc.records.records_of`; of a number that was recorded at each step what
   tables tell, `info/NAME/...`: see `results.recorded.packed`; of the updates, which `epochs`
   numbers, the multipliers, at most `POINTS` of them; all else as it was, evaluations among it
-- `pictures.npz`: what a page draws. Of each task `visits`, as digits, and `visited`. Of the first
-  `DRAWN_POLICIES` runs of a task `trained/states`, `/positions` and `/unsafe`, a bit each: see
-  `derive.Drawn`; `replay/drawn`, as `derive.path_digits`, `/unsafe`, `/box` and `/steps`: see
-  `results.reading.Highlights`
+- `pictures.npz`: what a page draws. Of each task `visits`, as digits, and `visited`; of the first
+  `DRAWN_POLICIES` runs of a task `trained` and `replay`, as they were
 
 What is gone: costs and recorded numbers of single steps, so that no other threshold of a cost step
 can be asked for; other numbers of the updates; checkpoints; the pictures of further runs. All
@@ -33,7 +31,7 @@ from agents.errors import UserError
 from agents.results import recorded
 from agents.results.reading import PICTURES, Group, Training, name_of_all
 from agents.training.config import CONFIG, RESULTS, STATUS, RunId, file_name
-from agents.training.derive import DRAWN_POLICIES, path_digits, smallest, thousandths
+from agents.training.derive import DRAWN_POLICIES, smallest, thousandths
 from agents.training.files import UNREADABLE, whole, write_arrays
 from emcc.records import digits, records_of
 
@@ -131,37 +129,11 @@ def lean_pictures(training: Training) -> dict[str, NDArray]:
             kept[prefix + "visits"] = digits(training.visits(task))
             kept[prefix + "visited"] = training.arrays[prefix + "visited"]
     first = training.config.seeds[:DRAWN_POLICIES]
-    for run in (run for run in training.config.runs if run.seed in first):
+    drawn = (run for run in training.config.runs if run.seed in first)
+    for prefix in (run.prefix + picture for run in drawn for picture in ("trained/", "replay/")):
         with contextlib.suppress(*UNREADABLE, UserError):
-            kept |= _trained(training, run)
-        with contextlib.suppress(*UNREADABLE, UserError):
-            kept |= _replay(training, run)
+            kept |= {k: training.arrays[k] for k in training.arrays if k.startswith(prefix)}
     return kept
-
-
-def _trained(training: Training, run: RunId) -> dict[str, NDArray]:
-    if not (episodes := training.trained(run)):
-        return {}
-    positions, unsafe = zip(*episodes, strict=True)
-    arrays: dict[str, NDArray] = {"states": smallest(np.array([*map(len, unsafe)]))}
-    arrays |= {
-        "positions": np.concatenate(positions),
-        "unsafe": np.packbits(np.concatenate(unsafe)),
-    }
-    return {f"{run.prefix}trained/{name}": array for name, array in arrays.items()}
-
-
-def _replay(training: Training, run: RunId) -> dict[str, NDArray]:
-    if f"{run.prefix}length" not in training.arrays:
-        return {}
-    replay = training.replay(run, records_of(training.arrays, run.prefix, training.config.costs[0]))
-    if replay is None:
-        return {}
-    points, unsafe = zip(*((e.points, e.unsafe) for e in replay.episodes), strict=True)
-    arrays: dict[str, NDArray] = {"drawn": path_digits(np.concatenate(points))}
-    arrays |= {"unsafe": np.packbits(np.concatenate(unsafe)), "box": replay.box}
-    arrays["steps"] = np.array(training.replay_steps(run))
-    return {f"{run.prefix}replay/{name}": array for name, array in arrays.items()}
 
 
 def _npz(arrays: Mapping[str, NDArray]) -> bytes:

@@ -197,45 +197,31 @@ class Training:
     def trained(self, run: RunId) -> list[Drawn] | None:
         """Episodes of a run's trained policy: see `Group.trained`."""
         prefix = f"{run.prefix}trained/"
-        if self.has(prefix + "unsafe"):
-            states = self.get(prefix + "states", -1)
-            total, ends = int(states.sum()), np.cumsum(states)[:-1]
-            parts = np.split(self.get(prefix + "positions", total, 2), ends)
-            return [*map(Drawn, parts, np.split(self._bits(prefix + "unsafe", total), ends))]
-        if not self.has(prefix + "length"):
+        if not self.has(prefix + "states"):
             return None
-        length = self.get(prefix + "length", -1)
-        total = int(length.sum())
-        positions = self.get(prefix + "positions", total + len(length), 2)
-        costs, ends = self.get(prefix + "costs", total), np.cumsum(length)[:-1]
-        paths = np.split(positions, ends + np.arange(1, len(length)))
-        return [*map(derive.drawn, paths, np.split(costs, ends))]
+        states = self.get(prefix + "states", -1)
+        total, ends = int(states.sum()), np.cumsum(states)[:-1]
+        paths = np.split(self.get(prefix + "positions", total, 2), ends)
+        return [*map(Drawn, paths, np.split(self._bits(prefix + "unsafe", total), ends))]
 
     def replay(self, run: RunId, records: EpisodeRecords) -> Highlights | None:
         """A run's highlights: see `Group.replay`. records: with the training's first cost."""
         prefix = f"{run.prefix}replay/"
-        if not (self.has(prefix + "drawn") or self.has(prefix + "points")):
+        if not self.has(prefix + "drawn"):
             return None
         windows, rows = zip(*derive.replay_rows(records, self.replay_steps(run)), strict=True)
         length, start = records.length[[*rows]], records.start_step[[*rows]]
         total, ends = int(length.sum()), np.cumsum(length)[:-1]
-        at = [derive.shown_states(steps) for steps in length]
-        if self.has(prefix + "drawn"):
-            drawn = derive.path_of(self.get(prefix + "drawn", -1, 2, sum(map(len, at))))
-            points = np.split(drawn, np.cumsum([*map(len, at)])[:-1])
-            unsafe = np.split(self._bits(prefix + "unsafe", total), ends)
-        else:
-            every = np.split(self.get(prefix + "points", total, 2), ends)
-            points = [derive.coarse(path[k]) for path, k in zip(every, at, strict=True)]
-            costs = self.of_steps(f"{run.prefix}costs/{self.config.costs[0]}/", records.total_steps)
-            unsafe = [costs[s : s + n] > 0 for s, n in zip(start, length, strict=True)]
+        shown = [len(derive.shown_states(steps)) for steps in length]
+        drawn = derive.path_of(self.get(prefix + "drawn", -1, 2, sum(shown)))
+        points = np.split(drawn, np.cumsum(shown)[:-1])
+        unsafe = np.split(self._bits(prefix + "unsafe", total), ends)
         told = (windows, start.tolist(), points, unsafe, records.cost[[*rows]].tolist())
         return Highlights([*map(Highlight, *told)], self.get(prefix + "box", 2, 2))
 
     def replay_steps(self, run: RunId) -> int:
         """Environment steps that the windows of a run's replay divide."""
-        name = f"{run.prefix}replay/steps"
-        return max(1, int(self.get(name))) if self.has(name) else self.config.steps  # before 0.4
+        return max(1, int(self.get(f"{run.prefix}replay/steps")))
 
     def recorded_of(
         self, run: RunId, name: str, records: EpisodeRecords, window: int | None = None

@@ -11,9 +11,10 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
   not. `traceback`: of the error of the task, where it was one
 - `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
   and `/ways`, where its episodes end and how they came there, where the task names them
-- `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
-- `replay/points`, `/box` and `/steps`: see `results.reading.Highlights`; `/steps`: those that its
-  windows divide
+- `trained/states`, `/positions` and `/unsafe`, a bit each: of the first evaluated episodes of a
+  task with a view the states that are drawn, see `Drawn`
+- `replay/drawn`, as `path_digits`, `/unsafe`, a bit for each step, and `/box`: see
+  `results.reading.Highlights`; `/steps`: those that its windows divide
 
 An archive has a row for each episode instead: `results.archive`.
 
@@ -47,12 +48,10 @@ CELLS = 80
 """Cells along each side of a report's heat map, of four pixels or so."""
 WINDOWS = 60
 """Windows of the replay, equal parts of training."""
-GRID_MAX = 65_535
-"""Largest coordinate of the replay's grid."""
 STATES = 128
 """States of an episode, about, that a page draws: of a longer one every second, third, ... one."""
 BITS = 10
-"""Bits of a coordinate of the replay as a page draws it."""
+"""Bits of a coordinate of the replay's grid."""
 NEAR = 128
 """Added to ways between points that follow each other, so that short ones are not below 0."""
 ROUNDED = 0.01
@@ -141,13 +140,15 @@ def write_results(
                 arrays |= {prefix + key: array for key, array in own.items()}
         if trace:
             arrays[run.prefix + "traceback"] = np.array(trace)
-        drawn = evaluated["deterministic"].paths[k]
+        paths = evaluated["deterministic"].paths[k]
         first = config.seeds.index(run.seed) < DRAWN_POLICIES
-        if drawn and first and not evaluated["deterministic"].void[k]:
-            paths, costs = zip(*drawn, strict=True)
-            arrays[run.prefix + "trained/length"] = np.array([*map(len, costs)])
-            arrays[run.prefix + "trained/positions"] = np.concatenate(paths)
-            arrays[run.prefix + "trained/costs"] = np.concatenate(costs).astype(np.float64)
+        if paths and first and not evaluated["deterministic"].void[k]:
+            positions, unsafe = zip(*(drawn(*path) for path in paths), strict=True)
+            arrays |= {
+                run.prefix + "trained/states": smallest(np.array([*map(len, unsafe)])),
+                run.prefix + "trained/positions": np.concatenate(positions),
+                run.prefix + "trained/unsafe": np.packbits(np.concatenate(unsafe)),
+            }
     write_arrays(folder / RESULTS, arrays, zipfile.ZIP_DEFLATED)
     return evaluated
 
@@ -187,7 +188,9 @@ def derived(
             positions = steps.get(run, "positions")
             if positions is not None and not failure:
                 located.append((records, positions))
-                own |= _replay(records, positions, whole_training(records, config.steps))
+                costs = steps.get(run, f"costs/{config.costs[0]}")
+                assert costs is not None
+                own |= _replay(records, positions, costs, whole_training(records, config.steps))
             arrays |= {run.prefix + name: array for name, array in own.items()}
         if located and view:
             with contextlib.suppress(UserError):  # a third without a rollout
@@ -311,16 +314,23 @@ def replay_rows(records: EpisodeRecords, steps: int) -> list[tuple[int, int]]:
 
 
 def _replay(
-    records: EpisodeRecords, positions: NDArray[np.float32], steps: int
+    records: EpisodeRecords,
+    positions: NDArray[np.float32],
+    costs: NDArray[np.floating],
+    steps: int,
 ) -> dict[str, NDArray]:
-    """The points of the replay's episodes, one after the other, and their box."""
+    """The drawn points of the replay's episodes, one after the other, the box of all their points,
+    and which of their steps cost."""
     rows = [row for _, row in replay_rows(records, steps)]
-    spans = [(int(records.start_step[row]), int(records.length[row])) for row in rows]
-    points = np.concatenate([positions[start : start + n] for start, n in spans]).astype(float)
-    box = np.array([points.min(axis=0), points.max(axis=0)])
+    spans = [slice(s, s + n) for s, n in zip(records.start_step, records.length, strict=True)]
+    paths = [positions[spans[row]].astype(float) for row in rows]
+    box = np.array([f([f(path, axis=0) for path in paths], axis=0) for f in (np.min, np.max)])
     size = np.where(box[1] > box[0], box[1] - box[0], 1.0)
-    grid = np.round((points - box[0]) / size * GRID_MAX).astype(np.uint16)
-    return {"replay/points": grid, "replay/box": box, "replay/steps": np.array(steps)}
+    shown = np.concatenate([path[shown_states(len(path))] for path in paths])
+    grid = np.round((shown - box[0]) / size * (2**BITS - 1)).astype(np.uint16)
+    unsafe = np.concatenate([costs[spans[row]] > 0 for row in rows])
+    arrays = {"drawn": path_digits(grid), "unsafe": np.packbits(unsafe), "box": box}
+    return {f"replay/{k}": v for k, v in (arrays | {"steps": np.array(steps)}).items()}
 
 
 def shown_states(steps: int) -> NDArray[np.int64]:
@@ -344,14 +354,9 @@ def drawn(positions: NDArray[np.float32], costs: NDArray[np.float64]) -> Drawn:
     return Drawn(positions[at], np.logical_or.reduceat(cost, np.concatenate(([0], at[:-1] + 1))))
 
 
-def coarse(points: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Points of the replay's grid on that of `BITS` bits."""
-    return np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
-
-
 def path_digits(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Points of `coarse`, [K, 2], as the digits of the ways from one to the next, [D, 2, K], which
-    pack to less: most fit one byte. `path_of` reads them."""
+    """Points of the replay's grid, [K, 2], as the digits of the ways from one to the next, [D, 2,
+    K], which pack to less: most fit one byte. `path_of` reads them."""
     ways = np.diff(points.astype(np.int64), axis=0, prepend=0) + NEAR
     return digits((ways % 2**BITS).T)
 

@@ -236,7 +236,7 @@ def test_costs_and_lengths_that_differ(runs):
 
 
 def test_runs_that_cannot_be_replayed(runs):
-    edit_results(runs.folder / "a", **{"Circle2D-3-v0__1__replay__points": None})
+    edit_results(runs.folder / "a", **{"Circle2D-3-v0__1__replay__drawn": None})
     notes = []
     data = replay_data(groups_of(runs.folder / "a"), Scenes(), notes)
     assert [run["seed"] for run in data["runs"]] == [0]

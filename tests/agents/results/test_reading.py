@@ -336,8 +336,8 @@ def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
 
 NOT_FITTING = {
     "trained/positions": lambda a: a[:-1],
-    "trained/costs": lambda a: a[1:],
-    "replay/points": lambda a: a[:-3],
+    "trained/unsafe": lambda a: a[1:],
+    "replay/drawn": lambda a: a[..., :-3],
     "replay/box": lambda a: a[:1],
     "replay/steps": lambda a: np.array([60, 60]),
     "evaluation/deterministic/costs": lambda a: a[:, 0],
