@@ -190,7 +190,7 @@ def minimize(optimizer, loss):
 AGENTS = {"sac-lag": SACLag, "sac-lb": SACLB, "wcsac": WCSAC}
 
 
-def epochs(seed, algorithm="sac-lag", task="Circle2D-1-v0", random_steps=5_000):
+def epochs(seed, algorithm="sac-lag", task="Circle2D-1-v0", random_steps=5_000, gradient_steps=5):
     """Train without end; yields after every epoch, which is an episode: steps, return, cost."""
     env, agent = gym.make(task), AGENTS[algorithm](seed)
     env.action_space.seed(seed)
@@ -209,7 +209,7 @@ def epochs(seed, algorithm="sac-lag", task="Circle2D-1-v0", random_steps=5_000):
         observation = observation2
         if end:
             if agent.stored >= 256:
-                for _ in range(5):
+                for _ in range(gradient_steps):
                     agent.update()
             yield step, [episode_return], [episode_cost]
             episode_return = episode_cost = 0.0

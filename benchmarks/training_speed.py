@@ -1,10 +1,11 @@
-"""Environment steps a second of training: runs in lockstep beside the plain one-run loop, one core.
+"""Environment steps a second of training, beside a plain one-run loop and what a core allows.
 
-Every measurement has a process of its own, so that none has another's settings. What is timed
-begins after imports and a warm-up, and holds rollout, replay, updates and records. Turns
-go through all of them, so that a ratio is of neighbours; ratios and speeds are medians over turns.
-The limit is what the matrix products of an epoch alone would allow, at the best speed of a batched
-product that this core has shown in the same run.
+Every measurement has a process of its own, so that none has another's settings. What is timed, in
+CPU seconds, begins after imports and a warm-up, and holds rollout, replay, updates and records; the
+SAC family takes a gradient step for every step. Turns go through all measurements, so that a ratio
+is of neighbours; ratios and speeds are medians over turns. The limit is what the matrix products of
+an epoch alone would allow, at the best speed of a batched product that this core has shown in the
+same run, and MuJoCo's steps where the task has them.
 
 python benchmarks/training_speed.py --algorithms cpo wcsac --runs 3 12 --turns 3
 """
@@ -20,38 +21,39 @@ import tempfile
 import time
 from pathlib import Path
 
-TASK, WARM_UP = "Circle2D-1-v0", 1_000
-ON_POLICY = ("trpo-lag", "cpo")
-STEPS = {"trpo-lag": 10_000, "cpo": 10_000, "sac-lag": 3_000, "sac-lb": 3_000, "wcsac": 3_000}
-"""Timed steps of a run; an on-policy epoch is 500 of them."""
+CIRCLE, GOAL, EPISODE = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0", 50
+TASKS = dict.fromkeys(("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"), CIRCLE) | {"ppo-lag": GOAL}
+WARM_UP = {"trpo-lag": 1_000, "cpo": 1_000, "ppo-lag": 10_000}
+STEPS = {"trpo-lag": 10_000, "cpo": 10_000, "ppo-lag": 10_000}
+"""Steps of a run before the time is taken, and timed ones; an epoch on-policy is 500 or 10,000."""
+OFF_POLICY = (300, 1_000)
+PLAIN = [name for name, task in TASKS.items() if task == CIRCLE]
 
-PEERS = {
-    "trpo-lag": "omnisafe 1 730-1 914, fast-safe-rl 2 500-4 757",
-    "cpo": "omnisafe 1 704-1 718, fast-safe-rl 2 500-4 757",
-    "sac-lag": "omnisafe 1 222-1 441, fast-safe-rl 1 009-1 256, the paper's group 1 262-1 425",
-    "sac-lb": "the paper's group 965-1 319",
-    "wcsac": "the paper's group 882-1 277",
-}
-"""One run, env steps/s, same task and hyper-parameters: omnisafe 0.5.0, fast-safe-rl 0.1.0, and the
-own library of the paper's group on Stable-Baselines3 2.7."""
+
+def lengths(algorithm):
+    """Steps before the time is taken, and timed ones."""
+    return (WARM_UP[algorithm], STEPS[algorithm]) if algorithm in STEPS else OFF_POLICY
 
 
 def plain(algorithm):
     """Speed of one run of the plain loop."""
     import plain_sac
     import plain_trpo
+    import torch
 
-    if algorithm in ON_POLICY:
-        epochs = plain_trpo.epochs(0, algorithm, TASK)
+    torch.set_num_threads(1)
+    warm_up, timed = lengths(algorithm)
+    if algorithm in STEPS:
+        epochs = plain_trpo.epochs(0, algorithm)
     else:
-        epochs = plain_sac.epochs(0, algorithm, TASK, random_steps=0)
+        epochs = plain_sac.epochs(0, algorithm, random_steps=0, gradient_steps=EPISODE)
     steps = 0
-    while steps < WARM_UP:
+    while steps < warm_up:
         steps, *_ = next(epochs)
-    before, start = steps, time.perf_counter()
-    while steps < before + STEPS[algorithm]:
+    before, start = steps, time.process_time()
+    while steps < before + timed:
         steps, *_ = next(epochs)
-    return (steps - before) / (time.perf_counter() - start)
+    return (steps - before) / (time.process_time() - start)
 
 
 @contextlib.contextmanager
@@ -63,11 +65,11 @@ def prepared(algorithm, runs):
     from agents.training.config import TrainConfig
     from agents.training.trainer import Trainer
 
-    config = preset(algorithm, TASK)
-    if algorithm not in ON_POLICY:
-        config = replace(config, random_steps=0)
-    seeds, steps = tuple(range(runs)), WARM_UP + STEPS[algorithm]
-    training = TrainConfig(algorithm, (TASK,), seeds, steps, config)
+    config = preset(algorithm, TASKS[algorithm])
+    if algorithm not in STEPS:
+        config = replace(config, random_steps=0, gradient_steps=EPISODE)
+    seeds, steps = tuple(range(runs)), sum(lengths(algorithm))
+    training = TrainConfig(algorithm, (TASKS[algorithm],), seeds, steps, config)
     with tempfile.TemporaryDirectory() as folder:
         training.write(Path(folder))
         with contextlib.closing(Trainer(Path(folder), training)) as trainer:
@@ -80,13 +82,13 @@ def lockstep(algorithm, runs, how):
 
     backend.configure(how)
     with prepared(algorithm, runs) as trainer:
-        while trainer.steps[0] < WARM_UP:
+        while trainer.steps[0] < lengths(algorithm)[0]:
             trainer.run_epoch()
-        before, start = trainer.steps.sum(), time.perf_counter()
+        before, start = trainer.steps.sum(), time.process_time()
         while not trainer.done:
             trainer.run_epoch()
         trainer.save()
-        return (trainer.steps.sum() - before) / (time.perf_counter() - start)
+        return (trainer.steps.sum() - before) / (time.process_time() - start)
 
 
 def counted_kernel():
@@ -121,14 +123,15 @@ def counted_kernel():
 
 def limit(algorithm):
     """Speed of one run if it had its matrix products alone to compute, at this core's best speed of
-    a batched product: that of the first hidden layer of 12 runs' critics."""
+    a batched product: that of the first hidden layer of 12 runs' critics; and MuJoCo's steps."""
+    import safety_speed
     import torch
 
     from agents.lockstep import backend, kernel
 
     backend.configure("numpy")
     with prepared(algorithm, 1) as trainer:
-        while trainer.steps[0] < WARM_UP:
+        while trainer.steps[0] < lengths(algorithm)[0]:
             trainer.run_epoch()
         before, counted = trainer.steps[0], counted_kernel()
         kernel.IN_NUMPY, kernel._kernel = counted, counted
@@ -137,15 +140,17 @@ def limit(algorithm):
     a, b = torch.randn(48, 256, 64), torch.randn(48, 64, 64)
     best = 0.0
     for _ in range(50):
-        start = time.perf_counter()
+        start = time.process_time()
         for _ in range(10):
             torch.bmm(a, b)
-        best = max(best, 10 * 2 * 48 * 256 * 64 * 64 / (time.perf_counter() - start))
+        best = max(best, 10 * 2 * 48 * 256 * 64 * 64 / (time.process_time() - start))
+    physics = 1 / safety_speed.mujoco_alone(GOAL)() if TASKS[algorithm] == GOAL else 0.0
     print(
-        f"{algorithm}: {operations / 1e6:.2f} MFLOP a step, {best / 1e9:.0f} GFLOP/s",
+        f"{algorithm}: {operations / 1e6:.2f} MFLOP a step, {best / 1e9:.0f} GFLOP/s, "
+        f"{1e6 * physics:.0f} µs of MuJoCo",
         file=sys.stderr,
     )
-    return best / operations
+    return 1 / (operations / best + physics)
 
 
 def speed(algorithm, runs, how):
@@ -160,29 +165,29 @@ def table(found, algorithms, runs):
     """Markdown; found: (algorithm, runs) -> speeds, one a turn."""
     head = ["algorithm", "plain, 1 run"]
     for n in runs:
-        head += [f"lockstep, {n} run{'s' if n > 1 else ''}", "over plain"]
-    head += ["limit", "share of it"]
-    lines = [[*head, "others, 1 run, another machine"], ["---"] * (len(head) + 1)]
+        head += [f"lockstep, {n} run{'s' if n > 1 else ''}", "over plain", "share of the limit"]
+    lines = [[*head, "limit"], ["---"] * (len(head) + 1)]
     for algorithm in algorithms:
-        of_plain = found[algorithm, 0]
-        cells = [algorithm, f"{statistics.median(of_plain):,.0f}"]
+        of_plain, limits = found.get((algorithm, 0)), found[algorithm, -1]
+        cells = [algorithm, f"{statistics.median(of_plain):,.0f}" if of_plain else ""]
         for n in runs:
             speeds = found[algorithm, n]
-            ratio = statistics.median(a / b for a, b in zip(speeds, of_plain, strict=True))
-            cells += [f"{statistics.median(speeds):,.0f}", f"{ratio:.2f}"]
-        of_limit = [
-            a / b for a, b in zip(found[algorithm, runs[-1]], found[algorithm, -1], strict=True)
-        ]
-        cells.append(f"{statistics.median(found[algorithm, -1]):,.0f}")
-        cells.append(f"{100 * statistics.median(of_limit):.0f} %")
-        lines.append([*cells, PEERS[algorithm]])
+            cells += [f"{statistics.median(speeds):,.0f}"]
+            cells += [f"{ratio(speeds, of_plain):.2f}" if of_plain else ""]
+            cells += [f"{100 * ratio(speeds, limits):.0f} %"]
+        lines.append([*cells, f"{statistics.median(limits):,.0f}"])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def ratio(some, others):
+    """The median over turns."""
+    return statistics.median(a / b for a, b in zip(some, others, strict=True))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--algorithms", nargs="+", choices=STEPS, default=list(STEPS))
-    parser.add_argument("--runs", nargs="+", type=int, default=[12], help="numbers in lockstep")
+    parser.add_argument("--algorithms", nargs="+", choices=TASKS, default=list(TASKS))
+    parser.add_argument("--runs", nargs="+", type=int, default=[1, 12], help="numbers in lockstep")
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--how", choices=["c++", "numpy"], default="c++")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
@@ -192,19 +197,15 @@ def main():
         kinds = {0: plain, -1: limit}
         print(kinds[runs](algorithm) if runs in kinds else lockstep(algorithm, runs, how))
         return
-    found = {(algorithm, n): [] for algorithm in args.algorithms for n in (0, *args.runs, -1)}
+    kinds = [(name, n) for name in args.algorithms for n in (0, *args.runs, -1)]
+    found = {(name, n): [] for name, n in kinds if n or name in PLAIN}
     for turn in range(args.turns):
         for (algorithm, n), speeds in found.items():
             speeds.append(speed(algorithm, n, args.how))
             names = {0: "plain", -1: "limit"}
             what = f"{algorithm}, {names.get(n, f'{n} in lockstep, {args.how}')}"
             print(f"turn {turn + 1}: {what}: {speeds[-1]:,.0f}", file=sys.stderr)
-    print(f"Environment steps a second of training on {TASK}, all runs together:\n")
     print(table(found, args.algorithms, args.runs))
-    print(
-        "\nOthers: omnisafe 0.5.0, fast-safe-rl 0.1.0, the own library of the paper's group on\n"
-        "Stable-Baselines3 2.7. Measured on another machine: compare with care."
-    )
 
 
 if __name__ == "__main__":

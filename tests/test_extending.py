@@ -179,6 +179,19 @@ def test_an_algorithm_of_the_users_own(folder):
 
 
 @pytest.mark.slow
+def test_a_task_from_the_suites_parts(folder):
+    """Trains by the page's command, one episode an epoch, and is drawn."""
+    train = (*command_of("my_suite_task"), "--episodes", "1", "--steps", "1200", "--seeds", "0")
+    assert "PPO-Lag" in circle2d(folder, *train).out
+    runs = ("--import", "my_suite_task", "runs")
+    circle2d(folder, "heatmap", *runs)
+    circle2d(folder, "render", *runs, "--out", "film.gif")
+    heat = imageio.imread(folder / "runs/heatmap.png")[..., :3]
+    assert len(set(map(tuple, heat.reshape(-1, 3)))) > 2
+    assert len(imageio.imread(folder / "film.gif")) > 20
+
+
+@pytest.mark.slow
 def test_a_task_and_a_measure_of_the_users_own(folder):
     """The page's task trains by the page's command, and its measure is a column of the report."""
     train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]

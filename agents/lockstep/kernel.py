@@ -7,6 +7,7 @@ alone, bit for bit, whatever others are computed beside it.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -339,14 +340,7 @@ def in_cpp() -> InCpp:
         version = subprocess.run([compiler, "--version"], capture_output=True, check=True).stdout
         made_of = (SOURCE.read_bytes(), " ".join(FLAGS).encode(), version, _processor())
         name = hashlib.blake2b(b"\0".join(made_of), digest_size=16).hexdigest()
-        library = _cache() / f"kernel-{name}.so"
-        if not library.exists():
-            with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-                made = Path(folder) / library.name  # moved whole: others may do so at the same time
-                command = [compiler, *FLAGS, str(SOURCE), "-o", str(made)]
-                subprocess.run(command, capture_output=True, check=True)
-                made.replace(library)
-        kernel = InCpp(library)
+        kernel = _compiled(compiler, f"kernel-{name}.so")
     except subprocess.CalledProcessError as error:
         lines = error.stderr.decode(errors="replace").strip().splitlines() or [str(error)]
         raise NoCpp(f"{compiler} fails: {lines[0]}") from error
@@ -372,11 +366,26 @@ def _processor() -> bytes:
     return flags[0] if flags else f"{platform.machine()} {platform.processor()}".encode()
 
 
-def _cache() -> Path:
-    """The folder of compiled code, which is there."""
-    kept = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "circle2d-mj"
-    kept.mkdir(parents=True, exist_ok=True)
-    return kept
+def _compiled(compiler: str, name: str) -> InCpp:
+    """The kernel of that name in the user's cache, compiled where it is not there; where nothing
+    can be kept, as in a read-only home, for this process alone."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "circle2d-mj"
+    if (cache / name).exists():
+        return InCpp(cache / name)
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        folder = tempfile.TemporaryDirectory(dir=cache)
+    except OSError:
+        folder = tempfile.TemporaryDirectory()
+    with folder:
+        made = Path(folder.name) / name
+        subprocess.run(
+            [compiler, *FLAGS, str(SOURCE), "-o", str(made)], capture_output=True, check=True
+        )
+        kernel = InCpp(made)
+        with contextlib.suppress(OSError):
+            made.replace(cache / name)  # whole: others may do so at the same time
+    return kernel
 
 
 class _Probe(NamedTuple):

@@ -78,11 +78,6 @@ class Rollout(NamedTuple):
         sums[self.length == 0] = 0.0
         return sums
 
-    @property
-    def final_observation(self) -> NDArray[np.float32]:
-        """Last observation of each episode, [N, observation size]."""
-        return self.next_observation[self.length - 1, np.arange(len(self.length))]
-
 
 FAILURE = "agents.failure"
 """Key of the info for failures of single environments, [N]: TaskFailures, None elsewhere."""

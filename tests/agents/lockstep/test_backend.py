@@ -59,3 +59,46 @@ def test_without_a_compiler_training_goes_on_in_numpy(tmp_path, compiler, reason
     assert "networks are computed in NumPy" in done.stderr
     assert reason in done.stderr
     assert agents.load_policy(tmp_path / "runs").step == 500
+
+
+BUILD = "from agents.lockstep import kernel; kernel.in_cpp(); print('built')"
+
+
+@pytest.fixture
+def compiler():
+    try:
+        kernel.in_cpp()
+    except kernel.NoCpp as error:
+        pytest.skip(str(error))
+
+
+def test_processes_that_compile_at_the_same_moment(tmp_path, compiler):
+    """All have a kernel, and leave one, and nothing else."""
+    own = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", BUILD]
+    builds = [subprocess.Popen(command, env=own, stdout=subprocess.PIPE) for _ in range(3)]
+    assert [build.communicate()[0].split() for build in builds] == 3 * [[b"built"]]
+    (kept,) = (tmp_path / "circle2d-mj").iterdir()
+    assert kept.suffix == ".so"
+
+
+def test_a_home_where_nothing_can_be_kept(tmp_path, compiler, monkeypatch):
+    home = tmp_path / "home"
+    home.write_text("no folder, so that root cannot write into it either")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(home))
+    monkeypatch.setattr(kernel.tempfile, "tempdir", str(tmp_path))
+    assert kernel.error_of(kernel.in_cpp.__wrapped__()) < kernel.TOLERANCE
+    assert list(tmp_path.iterdir()) == [home]
+
+
+def test_the_cache_of_another_processor(tmp_path, compiler, monkeypatch):
+    """Its code is left, and not loaded."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with monkeypatch.context() as there:
+        there.setattr(kernel, "_processor", lambda: b"flags: another's")
+        kernel.in_cpp.__wrapped__()
+    (its,) = (tmp_path / "circle2d-mj").iterdir()
+    its.unlink()  # the file that this process runs stays as it is
+    its.write_bytes(b"cannot be loaded here")
+    assert kernel.error_of(kernel.in_cpp.__wrapped__()) < kernel.TOLERANCE
+    assert its.read_bytes() == b"cannot be loaded here"
