@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.algorithms import ALGORITHMS
+from agents.algorithms import BUILT_IN
 from agents.lockstep import backend
 from agents.presets import preset
 from agents.training.config import TrainConfig
@@ -53,16 +53,16 @@ def test_first_epochs(algorithm, tmp_path):
 
 
 def test_every_algorithm_has_one():
-    assert set(GOLDEN) == set(ALGORITHMS)
+    assert set(GOLDEN) == set(BUILT_IN)
 
 
 def main():
     """Record the trainings of 0.4.0."""
     backend.configure("c++")
     found = {}
-    for algorithm in ALGORITHMS:
+    for algorithm in BUILT_IN:
         if algorithm not in OF_0_3_0:
-            epochs = 9 if hasattr(preset(algorithm, TASK), "random_steps") else 3
+            epochs = 7 if hasattr(preset(algorithm, TASK), "random_steps") else 3
             with tempfile.TemporaryDirectory() as folder:
                 found[algorithm] = list(records(algorithm, epochs, Path(folder)))
     lines = (
