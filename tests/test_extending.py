@@ -181,7 +181,8 @@ def test_an_algorithm_of_the_users_own(folder):
 @pytest.mark.slow
 def test_a_task_from_the_suites_parts(folder):
     """Trains by the page's command, one episode an epoch, and is drawn."""
-    train = (*command_of("my_suite_task"), "--episodes", "1", "--steps", "1200", "--seeds", "0")
+    train = [*command_of("my_suite_task"), "--seeds", "0", "--steps", "1200", "--episodes", "1"]
+    train += ["--evaluation-episodes", "2"]
     assert "PPO-Lag" in circle2d(folder, *train).out
     runs = ("--import", "my_suite_task", "runs")
     circle2d(folder, "heatmap", *runs)
