@@ -30,6 +30,7 @@ RESULTS = Path(__file__).parents[1] / "results" / "streaks"
 STEPS, WINDOW, ALPHA = 1_000_000, 10, 0.1
 COST_LIMIT = 25.0
 SHARED = {"preset": "none", "normalize_observations": True, "episodes": 10}
+SHARED |= {"evaluation_episodes": 20}
 """Of every training."""
 
 CANDIDATES = {
