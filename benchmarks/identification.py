@@ -21,7 +21,7 @@ import pandas as pd
 
 import agents
 from agents.algorithms import algorithm, title
-from agents.errors import UserError
+from agents.errors import RunsFailed, UserError
 from agents.paper.evidence import paper_results
 from agents.paper.grid import LIBRARY, PAPER_ALGORITHMS
 from agents.presets import LENGTHS
@@ -290,11 +290,15 @@ def read_spread():
 
 
 def train(setting, length, out):
-    """The rows of a setting's runs, trained where they are not there yet."""
+    """The rows of a setting's runs, trained where they are not there yet; of those that fail, such
+    as one that diverges, none, which counts as the greatest deviation."""
     folder = out / setting.name
     for name in PAPER_ALGORITHMS:
         settings = length | setting.hyperparameters(name)
-        agents.grid(name, TASKS, out=folder, task_parameters=setting.geometry, **settings)
+        try:
+            agents.grid(name, TASKS, out=folder, task_parameters=setting.geometry, **settings)
+        except RunsFailed as error:
+            print(error, flush=True)
     return rows_of(folder, setting)
 
 
