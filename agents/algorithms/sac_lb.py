@@ -39,10 +39,10 @@ class SACLBConfig(StreakLimit, ConstrainedSACConfig):
     none."""
 
     @property
-    def limits(self) -> NDArray[np.float32]:
+    def limits(self) -> NDArray[np.float64]:
         """Of each cost, [C, 1]."""
         streaks = [] if self.streak_limit is None else [self.streak_limit]
-        return np.array([self.cost_limit, *streaks], np.float32)[:, None]
+        return np.array([self.cost_limit, *streaks])[:, None]
 
 
 def log_barrier(z: Tensor, t: float) -> Tensor:
@@ -60,12 +60,12 @@ def log_barrier(z: Tensor, t: float) -> Tensor:
 
 def penalty(config: SACLBConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`ψ(max Q_c - d)`, of each cost."""
-    return log_barrier(risk - tensor(config.limits), config.log_barrier_factor)
+    return log_barrier(risk - tensor(config.limits).to(risk.dtype), config.log_barrier_factor)
 
 
 @closed_form(penalty)
 def _penalty(config: SACLBConfig, risk: Float, multipliers: Float) -> tuple[Float, Pull]:
-    z, t = risk - config.limits, config.log_barrier_factor
+    z, t = risk - config.limits.astype(risk.dtype), config.log_barrier_factor
     switch = -1.0 / t**2
     inside, tangent = z.clip(max=switch), t * z - math.log(-switch) / t + 1.0 / t
     values = np.where(z <= switch, -np.log(-inside) / t, tangent)

@@ -195,7 +195,7 @@ def test_on_policy_epoch(name):
         episodes = []
         for k in range(run * EPISODES, (run + 1) * EPISODES):
             steps = slice(rollout.length[k])
-            path = [rollout.observation[steps, k], rollout.final_observation[k : k + 1]]
+            path = [rollout.observation[steps, k], rollout.next_observation[steps, k][-1:]]
             columns = rollout.action, rollout.reward, rollout.cost[..., 0]
             others = (part[steps, k] for part in columns)
             episodes.append((np.concatenate(path), *others))
