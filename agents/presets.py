@@ -78,6 +78,9 @@ class Recipe(NamedTuple):
 # ones (0.02, 0.001, 0.01) have a higher return at a cost of 36.
 _GOAL = {"normalize_observations": True, "episodes": 20, "cost_limit": 22.0}
 _GOAL |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
+# The lower gains of that trial, with which the return grew faster: the car's cost came down by
+# 3 000 000 steps.
+_CAR_GOAL = _GOAL | {"pid_kp": 0.02, "pid_ki": 0.001}
 # A speed limit binds at every step, and a policy that satisfies it with much noise exceeds it
 # without: after 1 000 000 steps TRPO-PID with a first standard deviation of 1 had a cost of 263,
 # CPPO-PID with exp(-1) one of 18 (seeds 0 to 2).
@@ -85,6 +88,7 @@ _CHEETAH = {"normalize_observations": True, "episodes": 10, "cost_limit": 20.0}
 _CHEETAH |= {"initial_log_std": -1.0, "kl_stop": 0.02}
 _CHEETAH |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
 ZOO = {
+    "circle2d_mj/SafetyCarGoal1-v0": Recipe("trpo-pid", 4_500_000, _CAR_GOAL),
     "circle2d_mj/SafetyHalfCheetahVelocity-v1": Recipe("cppo-pid", 5_000_000, _CHEETAH),
     "circle2d_mj/SafetyPointGoal1-v0": Recipe("trpo-pid", 10_000_000, _GOAL),
 }

@@ -11,6 +11,7 @@ import gymnasium as gym
 import task_pages
 from PIL import Image
 
+import agents
 import circle2d_mj
 from agents.training.policy import load_policy
 
@@ -49,5 +50,5 @@ def write(name: str, folder: Path) -> None:
 
 if __name__ == "__main__":
     gym.register_envs(circle2d_mj)
-    for task in task_pages.FILMED.values():
+    for task in {*task_pages.FILMED.values(), *agents.zoo().task}:
         write(f"circle2d_mj/{task}", Path(__file__).parents[1] / "films")
