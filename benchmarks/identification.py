@@ -44,7 +44,7 @@ CLEARLY = 0.25
 
 @dataclasses.dataclass(frozen=True, order=True)
 class Setting:
-    """A choice of what the paper does not print; the defaults are today's preset."""
+    """A choice of what the paper does not specify; the defaults are today's preset."""
 
     depth: float = 0.5  # of the cut-outs, in radii
     step: float = 0.11  # of a full action, in radii
@@ -58,13 +58,13 @@ class Setting:
 
     @property
     def name(self):
-        """What is not today's, in words."""
+        """The choices that are not today's, in words."""
         own, usual = dataclasses.asdict(self), dataclasses.asdict(Setting())
         return ", ".join(f"{k} {v}" for k, v in own.items() if v != usual[k]) or "today's"
 
     @property
     def geometry(self):
-        """Of the task."""
+        """Keyword arguments for the task."""
         return {"cutout_depth": self.depth, "step_length": self.step}
 
     def hyperparameters(self, name):

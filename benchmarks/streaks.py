@@ -31,7 +31,7 @@ STEPS, WINDOW, ALPHA = 1_000_000, 10, 0.1
 COST_LIMIT = 25.0
 SHARED = {"preset": "none", "normalize_observations": True, "episodes": 10}
 SHARED |= {"evaluation_episodes": 20}
-"""Of every training."""
+"""Settings of every training."""
 
 CANDIDATES = {
     "PPO-Lag": ("ppo-lag", {}),
@@ -170,7 +170,7 @@ def hypervolume(points):
 
 
 def volumes(table):
-    """Of each pair of measures both families' hypervolumes, [seeds, tasks]. Measures are scaled to
+    """Both families' hypervolumes of each pair of measures, [seeds, tasks]. Measures are scaled to
     [0, 1] by the lowest and the highest run of a task, whatever the arm; a return counts down."""
     tasks = complete(table)
     found = {name: {f: np.zeros((len(SEEDS), len(tasks))) for f in FAMILIES} for name in VOLUMES}

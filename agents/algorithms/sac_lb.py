@@ -40,7 +40,7 @@ class SACLBConfig(StreakLimit, ConstrainedSACConfig):
 
     @property
     def limits(self) -> NDArray[np.float64]:
-        """Of each cost, [C, 1]."""
+        """The limit of each cost, [C, 1]."""
         streaks = [] if self.streak_limit is None else [self.streak_limit]
         return np.array([self.cost_limit, *streaks])[:, None]
 

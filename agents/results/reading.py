@@ -263,9 +263,9 @@ class Group:
     cost: str = "cost"
     """The cost that its measures are of."""
     printed: Mapping[str, float] = field(default_factory=dict)
-    """What a publication prints for its algorithm and task, by measure: see `paper.evidence`."""
+    """Printed numbers for its algorithm and task, by measure: see `paper.evidence`."""
     publication: str = ""
-    """Its name, and its number of runs."""
+    """The publication that prints them, by name, and its number of runs."""
 
     @property
     def title(self) -> str:

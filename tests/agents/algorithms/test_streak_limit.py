@@ -211,8 +211,8 @@ def test_off_policy_multipliers_follow_the_last_ten_episodes(name, alpha, multip
 
 @pytest.mark.parametrize("alpha", [1.0, 0.4])
 def test_off_policy_critics_learn_the_record_cost_beyond_the_quantile_of_now(alpha):
-    """Of all transitions of the replay, old ones too: 1/α where the longest streak, m, grows beyond
-    η."""
+    """The cost of all transitions of the replay, old ones too, is 1/α where the longest streak, m,
+    grows beyond η."""
     it = trainer(replace(config("sac-lag", streak_alpha=alpha, **OFF_POLICY), seeds=(0,)))
     grown, longest = [], []
     for rollout, *_ in epochs(it, 12):
