@@ -25,6 +25,7 @@ from agents.errors import RunsFailed, UserError
 from agents.paper.evidence import paper_results
 from agents.paper.grid import LIBRARY, PAPER_ALGORITHMS
 from agents.presets import LENGTHS
+from agents.reporting.table import markdown_rows
 from circle2d_mj.registration import KINEMATIC
 
 RESULTS = Path(__file__).parents[1] / "results" / "identification"
@@ -208,8 +209,8 @@ def _arrays(table, setting):
 
 
 def _units(spread):
-    pairs = [(a, t) for a in PAPER_ALGORITHMS for t in TASKS]
-    printed = np.array([[cells()[*pair, m] for m in FLOORS] for pair in pairs])
+    pairs, of = [(a, t) for a in PAPER_ALGORITHMS for t in TASKS], cells()
+    printed = np.array([[of[*pair, m] for m in FLOORS] for pair in pairs])
     unit = [[max(spread[*pair, m], floor) for m, floor in FLOORS.items()] for pair in pairs]
     return printed, np.array(unit)
 
@@ -265,9 +266,8 @@ def _moved(near, factor):
 
 
 def _markdown(columns, rows):
-    lines = [columns, ["---"] * len(columns)]
-    lines += [[f"{c:.2f}" if isinstance(c, float) else str(c) for c in row] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    cells = ([f"{c:.2f}" if isinstance(c, float) else str(c) for c in row] for row in rows)
+    return markdown_rows(columns, cells) + "\n"
 
 
 def read(name):

@@ -11,13 +11,18 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
+from streaks import rows_of
+
 import agents
 from agents.algorithms import ppo_lag
 from agents.lockstep.streaks import Streaks
-from emcc import cost_rate, emcc
 from emcc.augmented import augmented
 
 STEPS, SEEDS, LIMIT = 300_000, (0, 1, 2), 10.0
+SHOWN = {"longest": "longest streak", "EMCC": "EMCC", "rate": "cost rate"}
+SHOWN |= {"cost": "cost", "return": "return"}
+"""Columns of `streaks.rows_of` and their heads."""
 
 
 @dataclass(frozen=True)
@@ -31,23 +36,6 @@ class BlindConfig(ppo_lag.PPOLagConfig):
 agents.register("ppo-lag-blind", ppo_lag.ALGORITHM._replace(config=BlindConfig))
 
 
-def late(runs):
-    """By name, the measures of the last third of training of each run."""
-    rows = []
-    for records in runs.records.values():
-        part = records.windows(10).by_part(records.total_steps)[0.99]
-        rows.append(
-            {
-                "longest streak": part.longest_streak.mean(),
-                "EMCC": emcc(part.mcc_per_rollout()[0], 0.1),
-                "cost rate": cost_rate(part.cost, part.length),
-                "cost": part.cost.mean(),
-                "return": part.reward.mean(),
-            }
-        )
-    return {name: [row[name] for row in rows] for name in rows[0]}
-
-
 def main():
     """Train what is not there, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -58,15 +46,16 @@ def main():
     for k, (side, name) in enumerate(sides.items()):
         folder = options.out / name
         if (folder / "config.json").exists():
-            runs = agents.resume(folder)
+            agents.resume(folder)
         else:
             own = {"normalize_observations": True, "streak_limit": LIMIT, "preset": "none"}
             own |= {"seeds": SEEDS, "steps": options.steps, "evaluation_episodes": 10}
-            runs = agents.train(name, "SafetyPointGoal1-v0", out=folder, **own)
-        measures = late(runs)
+            agents.train(name, "SafetyPointGoal1-v0", out=folder, **own)
+        found = pd.DataFrame(rows_of(folder))
         if k == 0:
-            print(f"| k and m | {' | '.join(measures)} |\n| --- |{' --- |' * len(measures)}")
-        cells = [f"{sum(v) / len(v):.3f} ({min(v):.3f} to {max(v):.3f})" for v in measures.values()]
+            print(f"| k and m | {' | '.join(SHOWN.values())} |\n| --- |{' --- |' * len(SHOWN)}")
+        of = (found[name] for name in SHOWN)
+        cells = [f"{own.mean():.3f} ({own.min():.3f} to {own.max():.3f})" for own in of]
         print(f"| {side} | {' | '.join(cells)} |", flush=True)
 
 

@@ -14,14 +14,15 @@ tasks that are complete.
 """
 
 import argparse
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy.stats
 
 import agents
 from agents.errors import UserError
+from agents.reporting.table import markdown_rows
 from agents.results.statistics import LEVEL
 from emcc import cost_rate, emcc
 from emcc.statistics import holm, mean_interval, permutation_test
@@ -122,9 +123,8 @@ def gaps(own, arm, column):
 
 def sign_test(values):
     """The p value of the two-sided permutation test of mean 0, exact over all signs of [seeds]."""
-    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(values))))
-    means = np.abs(signs @ values)
-    return float(np.mean(means >= abs(values.sum()) * (1 - 1e-12)))
+    how = {"permutation_type": "samples", "n_resamples": np.inf}
+    return float(scipy.stats.permutation_test((values,), np.mean, **how).pvalue)
 
 
 def judge(table):
@@ -224,12 +224,8 @@ def page(table):
 
 
 def _markdown(frame):
-    def cell(value):
-        return f"{value:.3f}" if isinstance(value, float) else str(value)
-
-    lines = [list(frame.columns), ["---"] * len(frame.columns)]
-    lines += [list(map(cell, row)) for row in frame.itertuples(index=False)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    cells = frame.map(lambda value: f"{value:.3f}" if isinstance(value, float) else str(value))
+    return markdown_rows([*cells], cells.to_numpy()) + "\n"
 
 
 def draw(table, path):

@@ -124,7 +124,7 @@ def _run(command: str, args: Sequence[str]) -> int:
         except ModuleNotFoundError as error:
             if not (hint := extra_hint(error, command)):
                 raise
-            raise UserError(hint) from None
+            raise UserError(hint) from error  # which may be of the user's code
 
 
 def _check_words(args: Sequence[str]) -> None:

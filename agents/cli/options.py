@@ -79,8 +79,10 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
     except SystemExit as exit_:
         if not exit_.code:
             raise HelpShown(0) from None
+        if not (words := message.getvalue()):  # `sys.exit` of somebody's config: see `no_exit`
+            raise
         meant = [f"{arg} is {MEANT[arg]} here" for arg in args if arg in MEANT]
-        raise UserError("; ".join([_in_a_line(message.getvalue()), *meant])) from None
+        raise UserError("; ".join([_in_a_line(words), *meant])) from None
 
 
 def values_of(option: str, args: Sequence[str], most: int | None = None) -> list[str]:

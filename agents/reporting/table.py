@@ -164,17 +164,11 @@ class Table:
 
     def markdown(self) -> str:
         """The legend, the rows, and a paragraph for each note."""
-        lines = [[plain(cell) for cell in self.head], ["---"] * len(self.head)]
-        lines += [[_markdown(cell) for cell in row.cells] for row in self.rows]
-        lines = [line[: self.columns] for line in lines]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        padded = (
-            " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-            for line in lines
-        )
+        head, rows = map(plain, self.head), (map(_markdown, row.cells) for row in self.rows)
+        head, *rows = (list(cells)[: self.columns] for cells in (head, *rows))
         notes = [part for note in self.notes for part in ("", f"Note: {plain(note)}")]
         legend = [plain(self.legend), ""] if self.legend else []
-        return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
+        return "\n".join([*legend, markdown_rows(head, rows), *notes, ""])
 
     def latex(self, columns: Collection[str] = LATEX_COLUMNS) -> str:
         """The means above their intervals, and the paper's numbers, as a tabular with the rules of
@@ -245,6 +239,14 @@ def plain(text: str) -> str:
     """Text that is no HTML in Markdown and no control sequence on a terminal: names come from
     other people's files."""
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", one_line(text))
+
+
+def markdown_rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Cells of Markdown as a table, without a newline at its end."""
+    lines = [head, ["---"] * len(head), *rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    padded = ([*map(str.ljust, line, widths)] for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in padded)
 
 
 def _markdown(cell: Cell) -> str:

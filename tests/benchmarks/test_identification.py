@@ -1,6 +1,7 @@
 """The search for the paper's settings: its distance by hand, and what its rule proposes."""
 
 import importlib.util
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -121,13 +122,18 @@ def test_another_geometry_must_be_clearly_nearer():
     assert search.clearly_nearer(far, WIDE) is None
 
 
+def squeezed(text):
+    """Cells as wide as their words."""
+    return re.sub(" +", " ", text)
+
+
 def test_the_page_ranks_and_names_what_nothing_explains():
     screened = pd.concat([runs(off=3.0), runs(Setting(depth=0.6), off=10.0)])
-    text = search.page(screened, runs(Setting(depth=0.6)), WIDE)
+    text = squeezed(search.page(screened, runs(Setting(depth=0.6)), WIDE))
     assert text.index("| today's | 0.38 |") < text.index("| depth 0.6 | 1.25 |")
     assert "| depth | 0.5 | 1 | 0.38 | 0.38 |" in text and "| step |" not in text
     assert "| depth 0.6 | 0.00 | 0.00 |" in text
-    far = search.page(runs(off=30.0), pd.DataFrame(), WIDE)
+    far = squeezed(search.page(runs(off=30.0), pd.DataFrame(), WIDE))
     assert "| TRPO-Lag | Circle2D-2-v0 | J_R | -4.23 | 5.00 |" in far
 
 

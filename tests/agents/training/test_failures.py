@@ -173,6 +173,13 @@ def test_an_exit_in_a_module_or_a_policy(tmp_path, monkeypatch):
     assert shown.value.code == 0
 
 
+def test_an_exit_while_options_are_read(monkeypatch, capsys):
+    """As in the config of an algorithm of one's own, which reading the options makes."""
+    monkeypatch.setattr("tyro.cli", lambda *args, **more: sys.exit("away"))
+    assert main(["report", "runs"]) == 1
+    assert re.search(r"SystemExit: away .*test_failures\.py, line", capsys.readouterr().err)
+
+
 def test_ctrl_c_in_a_task_is_no_failure_of_it(tmp_path):
     class Stopped(toys.Walk):
         taken = 0
