@@ -20,7 +20,7 @@ from agents.paper import evidence
 from agents.paper.grid import PAPER_ALGORITHMS
 from agents.paper.sections import _with_all_ties, claims_sections
 from agents.reporting.numbers import numbers_csv, report_lines
-from agents.results.frame import changes, with_distinct_titles
+from agents.results.names import changes, with_names
 from agents.results.reading import read_groups
 from agents.results.statistics import over_windows
 
@@ -53,7 +53,7 @@ def page(name):
 @pytest.mark.parametrize("folder", SOURCES)
 def test_the_published_archives_give_the_published_numbers(folder, library):
     published = RESULTS / folder
-    groups = with_distinct_titles(read_groups([published / name for name in SOURCES[folder]], []))
+    groups = with_names(read_groups([published / name for name in SOURCES[folder]], []))
     found = io.StringIO(numbers_csv(report_lines([*map(evidence.printed, groups)])))
     with (published / "report.csv").open() as expected:
         for row, known in zip(csv.DictReader(found), csv.DictReader(expected), strict=True):

@@ -25,8 +25,8 @@ from agents.reporting.tables import (
     measures_table,
     printed_row,
 )
-from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
 from agents.results.measures import measure, measures
+from agents.results.names import by_task, hyperparameter_changes, unusual_steps
 from agents.results.reading import Group, RunResult
 from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, pairs_over_tasks
 from circle2d_mj.registration import KINEMATIC, PHYSICS
@@ -230,7 +230,8 @@ def parts_over_tasks(choices: Choices) -> Table | None:
     named = []
     for usual, *others in choices:
         for other in others:
-            words = [_choice(other), *unusual_steps(other.total_steps, other.task), other.apart]
+            words = [_choice(other), *unusual_steps(other.total_steps, other.task)]
+            words += [other.apart, other.where]
             name = f"B - A: {', '.join(filter(None, words))} - preset"
             named.append((name, (usual, other)))
     return differences_over_tasks(pairs_over_tasks(named))
@@ -277,7 +278,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
     columns = [measure(name) for name in EMCCS]
     rows: list[Row] = []
     for group in (group for own in by_task(groups).values() for group in own):
-        name = f"{group.task}, {name_of(group)}"
+        name = f"{group.task}, {group.name}"
         values = group.printed
         both = [group, replace(group, runs=[_with_all_ties(run) for run in group.runs])]
         nearest = set(_nearest(both, values))

@@ -24,14 +24,8 @@ from agents.reporting.tables import (
     run_rows,
     unequal_lengths,
 )
-from agents.results.frame import (
-    changes,
-    in_order,
-    name_of,
-    with_distinct_titles,
-    with_varied_settings,
-)
 from agents.results.measures import measures
+from agents.results.names import changes, in_order, with_names
 from agents.results.reading import Group, name_of_all, read_groups
 from agents.results.statistics import (
     ACROSS_WORDS,
@@ -66,7 +60,7 @@ class Sides(NamedTuple):
     def named(self) -> list[tuple[str, Group]]:
         """Every group with its name."""
         sides = zip(("A", "B"), self, strict=True)
-        return [(f"{k}: {name_of(g)}", g) for k, groups in sides for g in groups]
+        return [(f"{k}: {g.name}", g) for k, groups in sides for g in groups]
 
     @property
     def pairs(self) -> dict[str, Pair]:
@@ -99,8 +93,8 @@ def compare(
     of_a, of_b = (read_groups([side], notes) for side in (a, b))
     if mixed([*of_a, *of_b]):
         notes.append(ACROSS_WORDS)
-    both = alike(with_varied_settings([*of_a, *of_b]))
-    sides = [with_distinct_titles(both[: len(of_a)]), with_distinct_titles(both[len(of_a) :])]
+    both = alike([*of_a, *of_b])
+    sides = [with_names(side, both) for side in (both[: len(of_a)], both[len(of_a) :])]
     by_task = _by_task(a, b, sides, notes)
     pairs = {(task, k): pair for task, both in by_task.items() for k, pair in both.pairs.items()}
     tested = {key: only(asked, differences(*pair)) for key, pair in pairs.items()}
@@ -180,7 +174,7 @@ def _settings(group: Group) -> tuple[str, dict[str, Any]]:
 
 
 def _name(a: Group, b: Group) -> str:
-    titles = [name_of(group) for group in (b, a)]
+    titles = [group.name for group in (b, a)]
     return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
-from agents.results.frame import by_task, in_order, name_of
 from agents.results.measures import Measure, measures
+from agents.results.names import by_task, in_order
 from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
@@ -191,7 +191,7 @@ def _over_runs(rows: Sequence[Any], one_place: bool, bounds: Bounds) -> Curve:
 def task_figures(groups: Sequence[Group]) -> list[Figure]:
     """The figures of one task, by its runs."""
     groups = [group for group in in_order(groups) if group.runs]
-    return [curves([(name_of(group), group) for group in groups])] if groups else []
+    return [curves([(group.name, group) for group in groups])] if groups else []
 
 
 def curves(named: Sequence[tuple[str, Group]]) -> Figure:
@@ -279,7 +279,7 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
     A row of panels for each task, a column for each measure.
     """
     tasks, columns = by_task(groups), measures()
-    named = {task: [_wrapped(name_of(g), 34) for g in own] for task, own in tasks.items()}
+    named = {task: [_wrapped(g.name, 34) for g in own] for task, own in tasks.items()}
     # A row holds two lines of a name; the task's name stands beside.
     lines = {task: max(name.count("\n") + 1 for name in names) for task, names in named.items()}
     heights = [max(len(own) * max(lines[task] / 2, 1), 5) for task, own in tasks.items()]
@@ -359,7 +359,7 @@ def rates_figure(groups: Sequence[Group]) -> Figure:
     def draw(axis: Any, group: Group, part: float, style: Style) -> None:
         points = [by_third(group, stem)[part] for stem in ("rate", "EMCC")]
         look = {"marker": style.marker, "color": style.colour, "markersize": 5}
-        axis.plot(*points, label=name_of(group), **look, **DOT)
+        axis.plot(*points, label=group.name, **look, **DOT)
 
     labels = ("cost rate of the third", f"EMCC (α = {ALPHA:g})")
     words = (
@@ -378,7 +378,7 @@ def profiles_figure(groups: Sequence[Group]) -> Figure:
         shares = np.array([profile(of.mcc_per_rollout()[0], THRESHOLDS) for of in thirds])
         means = [mean_of(values.tolist(), group.one_place, SHARE) for values in shares.T]
         look = {"color": style.colour, "linestyle": style.dash, "linewidth": 1.4}
-        axis.plot(THRESHOLDS, [mean.value for mean in means if mean], label=name_of(group), **look)
+        axis.plot(THRESHOLDS, [mean.value for mean in means if mean], label=group.name, **look)
         ends = [(mean.low, mean.high) for mean in means if mean and mean.low is not None]
         if ends:
             band = np.array(ends, dtype=float).T
@@ -403,7 +403,7 @@ def _facets(
     """Panels by task (rows) and third (columns), with one legend. level: of a dotted line. scale:
     one for all panels, or one for each task."""
     tasks = by_task(groups)
-    legend_columns, height = legend({name_of(group) for group in groups})
+    legend_columns, height = legend({group.name for group in groups})
     with drawing(9) as pyplot:
         figure, axes = pyplot.subplots(
             len(tasks),
@@ -421,7 +421,7 @@ def _facets(
                 for axis, part in zip(row, PARTS, strict=True):
                     if part in there:
                         draw(axis, group, part, style)
-                        handles.setdefault(name_of(group), axis.lines[-1])
+                        handles.setdefault(group.name, axis.lines[-1])
             row[0].set_ylabel(f"{task.removeprefix('circle2d_mj/')}\n{labels[1]}")
             for axis in row:
                 axis.spines[["top", "right"]].set_visible(False)

@@ -21,8 +21,8 @@ from PIL import Image
 
 from agents.errors import UserError
 from agents.reporting.figures import emcc_along
-from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
+from agents.results.names import in_order
 from agents.results.reading import Episode, Group, Highlights, RunResult, left_out
 from agents.training.derive import BITS, DRAWN_POLICIES, STATES, WINDOWS, Drawn, Visits
 from agents.training.environments import view_of
@@ -226,7 +226,7 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
             why = f"{NO_POSITIONS}, or a third of its training no rollout"
             notes.append(f"no heat map of {group.title}: {why}")
             continue
-        names.append(name_of(group))
+        names.append(group.name)
         columns.append([(scene, visits_words(part), part.counts) for part in parts])
     if not columns:
         return None
@@ -261,7 +261,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
                 break
             column.append(_map(run, played, scene))
         if column:
-            names.append(name_of(group))
+            names.append(group.name)
             columns.append(column)
     if not columns:
         return None
@@ -314,7 +314,7 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
         scene = scenes.get(group, notes) if group.runs else None
         if scene is None:
             continue
-        named = {"task": group.task, "algorithm": name_of(group)}
+        named = {"task": group.task, "algorithm": group.name}
         for run in group.runs[:most]:
             try:
                 replay = group.replay(run)

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from agents.algorithms import title
 from agents.reporting.tables import ends_words
-from agents.results.frame import name_of
 from agents.results.measures import measures
 from agents.results.reading import Group
 from agents.results.statistics import Difference, group_mean, known, places, within_limit
@@ -50,7 +49,7 @@ def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
     """The means of each group with their intervals and its shares, then its runs."""
     for group in groups:
-        about = {"task": group.task, "algorithm": prefix + name_of(group), "folder": group.folder}
+        about = {"task": group.task, "algorithm": prefix + group.name, "folder": group.folder}
         if group.runs:
             means = {m.name: group_mean(group, m.name) for m in measures()}
             yield from _interval_lines(about, "mean", means, len(group.runs))

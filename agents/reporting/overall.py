@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, corrected, number, p_head, p_number
 from agents.reporting.tables import difference_rows
-from agents.results.frame import by_task, changes, in_order, name_of, title_of_group
+from agents.results.names import by_task, changes, in_order
 from agents.results.reading import Group, RunResult
 from agents.results.statistics import (
     ACROSS_WORDS,
@@ -134,7 +134,7 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
 
 def _separated_row(pair: Any) -> Row:
     """pair: a row of `comparisons`."""
-    names = " and ".join(name_of(group) for group in (pair.a, pair.b))
+    names = " and ".join(group.name for group in (pair.a, pair.b))
     one_place = pair.a.one_place and pair.b.one_place
     cells = []
     for stem, p in (("rate", pair.equivalence_p), ("EMCC", pair.emcc_p)):
@@ -159,7 +159,7 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     algorithms are left to the table of ranks.
     """
     columns = common_measures()
-    cells = on_every_task(of_presets(groups), title_of_group)
+    cells = on_every_task(of_presets(groups), lambda group: group.variant)
     runs = {name: on_common_seeds(list(own.values()), FEWEST_RUNS) for name, own in cells.items()}
     runs = {name: values for name, values in runs.items() if values}
     tasks = len(tasks_of(cells))

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageOps
 from agents.errors import OWN_ERRORS, TaskFailure, UserError
 from agents.lockstep.rollout import Rollout
 from agents.reporting.maps import Ground, HeatColumn, heat_figure, png
-from agents.results.frame import title_of
+from agents.results.names import title_of
 from agents.results.reading import Episode, results_of, run_records
 from agents.training.config import RunId, TrainConfig
 from agents.training.derive import Steps, count_visits, told_steps

@@ -20,7 +20,7 @@ from agents.reporting.figures import (
     running_emcc,
     styles,
 )
-from agents.results.frame import by_task, name_of, with_names
+from agents.results.names import by_task, with_names
 from agents.results.reading import Group, LeftOut, read_groups
 from agents.results.statistics import INTERVALS, common_limit
 from agents.training.files import check_file, write_whole
@@ -83,7 +83,7 @@ def plot(
     left_out = [note for note in notes if isinstance(note, LeftOut)]
     if not tasks:
         raise UserError("; ".join(["no run is complete", *left_out]))
-    entries = list(dict.fromkeys(name_of(group) for own in tasks.values() for group in own))
+    entries = list(dict.fromkeys(group.name for own in tasks.values() for group in own))
     shown = _given("names", names, entries)
     colour = _given("colours", colours, entries)
     _draw(tasks, out, [MEASURES[name] for name in measures], shown, colour, width)
@@ -111,7 +111,7 @@ def _draw(
 
     if wrong := [colour for colour in colours.values() if not is_color_like(colour)]:
         raise UserError(f"colours: {wrong[0]!r} is no colour of matplotlib, such as #0072B2 or C0")
-    entries = [name_of(group) for groups in tasks.values() for group in groups]
+    entries = [group.name for groups in tasks.values() for group in groups]
     shown = {*(names.get(entry, entry) for entry in entries), "cost limit"}
     fitting = max(1, min(len(shown), int(14 * width) // (max(map(len, shown)) + 7)))
     below = 0.16 * math.ceil(len(shown) / fitting)
@@ -133,7 +133,7 @@ def _draw(
             limit = common_limit(groups)
             for axis, column in zip(row, columns, strict=True):
                 for group, look in zip(groups, looks, strict=True):
-                    entry = name_of(group)
+                    entry = group.name
                     own = Style(colours.get(entry, look.colour), look.dash, look.marker)
                     name = names.get(entry, entry)
                     at = midpoints(group.total_steps)

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 from agents.algorithms import title
-from agents.results.frame import hyperparameter_changes, in_order, title_of_group
+from agents.results.names import hyperparameter_changes, in_order
 from agents.results.reading import Group
 from agents.training.callbacks import duration
 from agents.training.callbacks import sessions as sessions_of
@@ -72,7 +72,7 @@ def summary(groups: Sequence[Group]) -> str:
     """One line on the runs: how many, on how many tasks, for how long."""
     configs = [group.config for group in groups]
     names = {config.algorithm for config in configs}
-    settings, lengths = set(map(title_of_group, groups)), {group.total_steps for group in groups}
+    settings, lengths = {group.variant for group in groups}, {group.total_steps for group in groups}
     parts = [
         _count(_runs(groups), "run"),
         _count(len({group.task for group in groups}), "task"),

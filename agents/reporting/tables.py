@@ -12,14 +12,12 @@ import numpy as np
 from agents.algorithms import ALGORITHMS, title
 from agents.presets import preset
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
-from agents.results.frame import (
+from agents.results.measures import Measure, measure, measures
+from agents.results.names import (
     changes,
     in_order,
-    name_of,
     setting,
-    title_of_group,
 )
-from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, RunResult
 from agents.results.recorded import Recorded
 from agents.results.statistics import (
@@ -62,7 +60,7 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
         for group in same:
             if group.runs:
                 ours.setdefault(group.cost, {})[len(rows)] = means(group), _keeps_all(group, groups)
-                rows.append(mean_row(group, name_of(group)))
+                rows.append(mean_row(group, group.name))
         for group in [group for group in same if group.printed][:1]:  # one for all of them
             others[len(rows)] = group.printed, _printed_within(group)
             rows.append(printed_row(title(name), group))
@@ -182,7 +180,7 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
         share = within_limit(replace(group, runs=[run]))
         cells += [Number(share and share.count, total=1), Number(run.measures.get("length"), 1)]
-        yield Row(f"{prefix}{name_of(group)}, seed {run.seed}", cells, ends_words(run))
+        yield Row(f"{prefix}{group.name}, seed {run.seed}", cells, ends_words(run))
 
 
 def difference_rows(
@@ -249,12 +247,12 @@ def long_settings(groups: Iterable[Group]) -> list[str]:
         for name, value in changes(group.config, group.task).items()
         if setting(name, value) != f"{name} {value}"
     }
-    return [f"{name} of {title_of_group(g)}: {value}." for (name, value), g in told.items()]
+    return [f"{name} of {g.variant}: {value}." for (name, value), g in told.items()]
 
 
 def unequal_lengths(groups: Sequence[Group]) -> list[str]:
     """The shortest and the longest training, where they are not of one length."""
-    taken = sorted((run.total_steps, name_of(group)) for group in groups for run in group.runs)
+    taken = sorted((run.total_steps, group.name) for group in groups for run in group.runs)
     if not taken or told_steps(taken[0][0], [taken[-1][0]]) == taken[0][0]:
         return []
     (least, a), (most, b) = taken[0], taken[-1]
@@ -265,7 +263,7 @@ def unequal_lengths(groups: Sequence[Group]) -> list[str]:
 def _random(groups: Sequence[Group]) -> list[str]:
     """The groups of which all training was of random actions."""
     return [
-        f"{name_of(group)}: all its training's actions are random (random_steps)."
+        f"{group.name}: all its training's actions are random (random_steps)."
         for group in groups
         if getattr(group.config.hyperparameters, "random_steps", 0) >= group.total_steps
     ]
@@ -379,7 +377,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
             if line.field in OF_POLICIES:
                 values = [[run and line.value(run) for run in column] for column in measured]
                 rows.append(row(f"{words}: {line.title}", values, line.digits, line.bounds))
-    head = [groups[0].task, *map(name_of, groups), ""]  # the last is for places
+    head = [groups[0].task, *(group.name for group in groups), ""]  # the last is for places
     return Table(_panel_caption(groups, limits), head, rows)
 
 
@@ -393,7 +391,7 @@ def _evaluated(run: RunResult, policy: str, limit: float | None) -> CostMeasures
 
 
 def _panel_caption(groups: Sequence[Group], limits: Sequence[float | None]) -> str:
-    named = {name_of(g): d for g, d in zip(groups, limits, strict=True) if d is not None}
+    named = {g.name: d for g, d in zip(groups, limits, strict=True) if d is not None}
     if len(set(named.values())) == 1:
         words = f"limit {next(iter(named.values())):g}"
     else:
@@ -449,4 +447,4 @@ def _recorded_rows(
             number(mean_of([run[part] for run in of_limit], group.one_place, SHARE))
             for of_limit in streaks
         ]
-        yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
+        yield Row(f"{group.name}, {words}, {part:g}", cells, kind="mean")

@@ -1,23 +1,20 @@
-"""Runs as tidy frames, and the names of groups of runs."""
+"""Runs as tidy frames."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
-from agents.presets import preset, usual_steps
 from agents.results.measures import measures
+from agents.results.names import with_names
 from agents.results.reading import Group, Training, read_groups, run_records
 from agents.training import evaluation
-from agents.training.config import POLICIES, RunId, TrainConfig
+from agents.training.config import POLICIES, RunId
 from agents.training.files import Arrays, numbered
 from emcc.records import COLUMNS as RECORD_COLUMNS
 
@@ -30,8 +27,6 @@ COLUMNS = (
     *("source", "group", "name", "task", "algorithm", "settings", "cost", "limit", "folder"),
     *("seed", "steps", "ends_in", "measure", "part", "window", "value", "failure"),
 )
-MOST_CHARACTERS = 40
-"""Characters of a setting's value, at most, in a name."""
 
 
 def read(
@@ -65,10 +60,8 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
 
     every = measures(shown=False)
     rows: list[tuple[Any, ...]] = []
-    varied = with_varied_settings(groups)
-    named = zip(varied, map(name_of, with_distinct_titles(varied)), strict=True)
-    for number, (group, name) in enumerate(named):
-        about = (number, name, group.task, group.config.algorithm, settings_of(group))
+    for number, group in enumerate(with_names(groups)):
+        about = (number, group.name, group.task, group.config.algorithm, group.settings)
         about = (*about, group.cost, group.limit, group.folder)
         for run in group.runs:
             own = ("runs", *about, run.seed, run.total_steps, run.place)
@@ -163,110 +156,3 @@ def _evaluations(training: Training, run: RunId) -> dict[str, Any]:
             for name, column in zip(names, values, strict=True):
                 columns[name] += list(column)
     return columns
-
-
-def with_names(groups: Sequence[Group]) -> list[Group]:
-    """Groups that their names tell apart."""
-    return with_distinct_titles(with_varied_settings(groups))
-
-
-def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
-    """Name groups of unregistered algorithms by the hyper-parameters in which they differ: there is
-    no preset to compare with."""
-    named = []
-    for group in groups:
-        name, varied = group.config.algorithm, []
-        if name not in ALGORITHMS:
-            others = [vars(g.config.hyperparameters) for g in groups if g.config.algorithm == name]
-            own = vars(group.config.hyperparameters)
-            varied = [setting(k, v) for k, v in own.items() if any(o.get(k) != v for o in others)]
-        apart = ", ".join(filter(None, [*varied, group.apart]))
-        named.append(dataclasses.replace(group, apart=apart))
-    return named
-
-
-def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
-    """Name groups of one title on one task by their folders too."""
-    keys = [(group.task, group.cost, title_of_group(group)) for group in groups]
-    count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
-    return [
-        dataclasses.replace(
-            group,
-            apart=", ".join(filter(None, [group.apart, f"in {group.title}" * (count[key] > 1)])),
-        )
-        for key, group in zip(keys, groups, strict=True)
-    ]
-
-
-def name_of(group: Group) -> str:
-    """The title of a group, with what tells it apart from another of that title."""
-    return title_of_group(group, group.apart)
-
-
-def title_of_group(group: Group, more: str = "") -> str:
-    """The title of a group's settings and length."""
-    return title_of(group.config, group.task, more, group.total_steps)
-
-
-def title_of(config: TrainConfig, task: str, more: str = "", steps: int | None = None) -> str:
-    """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
-    asked for."""
-    words = ", ".join(filter(None, [*unusual_settings(config, task, steps), more]))
-    return title(config.algorithm) + (f" ({words})" if words else "")
-
-
-def settings_of(group: Group) -> str:
-    """The settings of a group that are not the usual ones, in words."""
-    words = unusual_settings(group.config, group.task, group.total_steps)
-    return ", ".join(filter(None, [*words, group.apart]))
-
-
-def unusual_settings(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
-    """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
-    an unregistered algorithm no hyper-parameter: see `with_varied_settings`."""
-    known = config.algorithm in ALGORITHMS
-    changed = changes(config, task) if known else config.task_parameters
-    words = [setting(name, value) for name, value in changed.items()]
-    return words + unusual_steps(steps or config.steps, task)
-
-
-def setting(name: str, value: Any) -> str:
-    """A setting in the words of names; of one whose value would fill a table's rows its number of
-    values, or of characters, and a note below the table has the value."""
-    if len(str(value)) <= MOST_CHARACTERS or not isinstance(value, (tuple, list, dict, str)):
-        return f"{name} {value}"
-    return f"{name} [{len(value)}{' characters' * isinstance(value, str)}]"
-
-
-def unusual_steps(steps: int, task: str) -> list[str]:
-    """A training's length, where it is not the usual one: see `presets.usual_steps`."""
-    return [] if steps == usual_steps(task) else [f"{steps:,} steps"]
-
-
-def changes(config: TrainConfig, task: str) -> dict[str, Any]:
-    """Settings that differ from the preset and from the task as it is registered."""
-    return hyperparameter_changes(config, task) | config.task_parameters
-
-
-def hyperparameter_changes(config: TrainConfig, task: str) -> dict[str, Any]:
-    """The hyper-parameters that differ from the preset; all of an unregistered algorithm."""
-    chosen = dataclasses.asdict(config.hyperparameters)
-    if config.algorithm not in ALGORITHMS:
-        return chosen
-    usual = dataclasses.asdict(preset(config.algorithm, task))
-    return {name: value for name, value in chosen.items() if value != usual[name]}
-
-
-def in_order(groups: Iterable[Group]) -> list[Group]:
-    """Groups in the order of the algorithms."""
-    order = {name: index for index, name in enumerate(ALGORITHMS)}
-    return sorted(groups, key=lambda group: order.get(group.config.algorithm, len(order)))
-
-
-def by_task(groups: Iterable[Group]) -> dict[str, list[Group]]:
-    """Groups with complete runs by their task, in the order of the algorithms."""
-    tasks: dict[str, list[Group]] = {}
-    for group in in_order(groups):
-        if group.runs:
-            tasks.setdefault(group.task, []).append(group)
-    return dict(sorted(tasks.items()))

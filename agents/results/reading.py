@@ -22,6 +22,7 @@ from agents.algorithms import ALGORITHMS
 from agents.errors import OwnCodeError, UserError
 from agents.results import recorded
 from agents.results.measures import RunData, measured
+from agents.results.names import title_of, titled, unusual_settings
 from agents.results.recorded import Recorded
 from agents.training import derive
 from agents.training.config import (
@@ -259,18 +260,37 @@ class Group:
     missing: Mapping[int, str] = field(default_factory=dict)
     """Why the others are left out, by seed."""
     apart: str = ""
-    """Words that tell it from a group of equal settings in another folder, if there is one."""
+    """Behind the unusual settings: the cost, unless it is the only one, and what `with_names` adds
+    for an unregistered algorithm."""
     cost: str = "cost"
     """The cost that its measures are of."""
     printed: Mapping[str, float] = field(default_factory=dict)
     """Printed numbers for its algorithm and task, by measure: see `paper.evidence`."""
     publication: str = ""
     """The publication that prints them, by name, and its number of runs."""
+    where: str = ""
+    """The folder, where another group has its settings: see `names.with_names`."""
 
     @property
     def title(self) -> str:
         """The folders as seen from beside the report's."""
         return " + ".join(own.title for own in self.trainings)
+
+    @property
+    def variant(self) -> str:
+        """The algorithm, with its settings and length where they are not the usual ones."""
+        return title_of(self.config, self.task, self.total_steps)
+
+    @property
+    def settings(self) -> str:
+        """The settings that are not the usual ones, in words."""
+        words = unusual_settings(self.config, self.task, self.total_steps)
+        return ", ".join(filter(None, [*words, self.apart]))
+
+    @property
+    def name(self) -> str:
+        """The algorithm with its settings, as tables have it."""
+        return titled(self.config.algorithm, [self.settings, self.where])
 
     @property
     def seeds(self) -> list[int]:

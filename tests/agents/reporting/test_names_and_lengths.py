@@ -8,7 +8,7 @@ from agents.presets import preset_with
 from agents.reporting.compare import compare
 from agents.reporting.report import report
 from agents.reporting.table import markdown
-from agents.results.frame import setting
+from agents.results.names import setting
 
 TASK = "Circle2D-1-v0"
 

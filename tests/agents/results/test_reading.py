@@ -21,7 +21,7 @@ from agents.errors import FailedRunWarning, UserError
 from agents.presets import preset
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.results.archive import write_archive
-from agents.results.frame import with_distinct_titles
+from agents.results.names import with_names
 from agents.results.reading import folders_below, name_of_source, read_groups
 from agents.training.derive import path_digits, path_of, thousandths, three_digits
 from emcc.records import digits, of_digits
@@ -119,8 +119,7 @@ def test_an_old_archive_is_converted_without_changing_a_number(runs, tmp_path):
     new.parent.mkdir()
     write_archive(new, read_groups([old], []))
     numbers, again = (
-        numbers_csv(report_lines(with_distinct_titles(read_groups([path], []))))
-        for path in (old, new)
+        numbers_csv(report_lines(with_names(read_groups([path], [])))) for path in (old, new)
     )
     assert numbers == again
     assert numbers.count(",run,") > 6

@@ -1,0 +1,107 @@
+"""Names of runs: their algorithm with the settings that are not the usual ones; and their order."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from agents.algorithms import ALGORITHMS, title
+from agents.presets import preset, usual_steps
+from agents.training.config import TrainConfig
+
+if TYPE_CHECKING:
+    from agents.results.reading import Group
+
+MOST_CHARACTERS = 40
+"""Characters of a setting's value, at most, in a name."""
+
+
+def with_names(groups: Sequence[Group], among: Sequence[Group] | None = None) -> list[Group]:
+    """The groups with names that tell them apart.
+
+    An unregistered algorithm has no preset to compare with: it is named by the hyper-parameters in
+    which its groups differ (among: all of them, by default these). Groups of one title on one task
+    are named by their folders too.
+    """
+    keys = [(group.task, group.cost, group.variant) for group in groups]
+    count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
+    named = []
+    for key, group in zip(keys, groups, strict=True):
+        words = [*_varied(group, groups if among is None else among), group.apart]
+        where = f"in {group.title}" if count[key] > 1 else ""
+        apart = ", ".join(filter(None, words))
+        named.append(dataclasses.replace(group, apart=apart, where=where))
+    return named
+
+
+def _varied(group: Group, among: Sequence[Group]) -> list[str]:
+    name, own = group.config.algorithm, vars(group.config.hyperparameters)
+    if name in ALGORITHMS:
+        return []
+    others = [vars(g.config.hyperparameters) for g in among if g.config.algorithm == name]
+    return [setting(k, v) for k, v in own.items() if any(o.get(k) != v for o in others)]
+
+
+def titled(algorithm: str, words: Iterable[str]) -> str:
+    """The title of an algorithm, with words in brackets where there are some."""
+    told = ", ".join(filter(None, words))
+    return title(algorithm) + (f" ({told})" if told else "")
+
+
+def title_of(config: TrainConfig, task: str, steps: int | None = None) -> str:
+    """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
+    asked for."""
+    return titled(config.algorithm, unusual_settings(config, task, steps))
+
+
+def unusual_settings(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
+    """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
+    an unregistered algorithm no hyper-parameter: see `with_names`."""
+    known = config.algorithm in ALGORITHMS
+    changed = changes(config, task) if known else config.task_parameters
+    words = [setting(name, value) for name, value in changed.items()]
+    return words + unusual_steps(steps or config.steps, task)
+
+
+def setting(name: str, value: Any) -> str:
+    """A setting in the words of names; of one whose value would fill a table's rows its number of
+    values, or of characters, and a note below the table has the value."""
+    if len(str(value)) <= MOST_CHARACTERS or not isinstance(value, (tuple, list, dict, str)):
+        return f"{name} {value}"
+    return f"{name} [{len(value)}{' characters' * isinstance(value, str)}]"
+
+
+def unusual_steps(steps: int, task: str) -> list[str]:
+    """A training's length, where it is not the usual one: see `presets.usual_steps`."""
+    return [] if steps == usual_steps(task) else [f"{steps:,} steps"]
+
+
+def changes(config: TrainConfig, task: str) -> dict[str, Any]:
+    """Settings that differ from the preset and from the task as it is registered."""
+    return hyperparameter_changes(config, task) | config.task_parameters
+
+
+def hyperparameter_changes(config: TrainConfig, task: str) -> dict[str, Any]:
+    """The hyper-parameters that differ from the preset; all of an unregistered algorithm."""
+    chosen = dataclasses.asdict(config.hyperparameters)
+    if config.algorithm not in ALGORITHMS:
+        return chosen
+    usual = dataclasses.asdict(preset(config.algorithm, task))
+    return {name: value for name, value in chosen.items() if value != usual[name]}
+
+
+def in_order(groups: Iterable[Group]) -> list[Group]:
+    """Groups in the order of the algorithms."""
+    order = {name: index for index, name in enumerate(ALGORITHMS)}
+    return sorted(groups, key=lambda group: order.get(group.config.algorithm, len(order)))
+
+
+def by_task(groups: Iterable[Group]) -> dict[str, list[Group]]:
+    """Groups with complete runs by their task, in the order of the algorithms."""
+    tasks: dict[str, list[Group]] = {}
+    for group in in_order(groups):
+        if group.runs:
+            tasks.setdefault(group.task, []).append(group)
+    return dict(sorted(tasks.items()))
