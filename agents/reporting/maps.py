@@ -252,7 +252,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
         column: list[Map | str] = []
         for run in group.runs[:DRAWN_POLICIES]:
             try:
-                played = group.trained(run.seed)
+                played = run.trained()
             except UserError as error:
                 notes.append(left_out(f"trajectories of seed {run.seed}", [group], error))
                 continue
@@ -317,15 +317,14 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
         named = {"task": group.task, "algorithm": group.name}
         for run in group.runs[:most]:
             try:
-                replay = group.replay(run)
+                replay = run.replay()
             except UserError as error:
                 notes.append(left_out(f"replay of seed {run.seed}", [group], error))
                 continue
             if replay is None:
                 notes.append(f"no replay of {group.title}: {NO_POSITIONS}")
                 break
-            numbers = _run(run, replay, group.replay_steps(run))
-            runs.append({**named, "scene": scene.number, **numbers})
+            runs.append({**named, "scene": scene.number, **_run(run, replay)})
     extents = [list(scene.extent) for scene in scenes.all]
     return {
         "windows": WINDOWS,
@@ -338,9 +337,9 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
     }
 
 
-def _run(run: RunResult, replay: Highlights, steps: int) -> dict[str, Any]:
+def _run(run: RunResult, replay: Highlights) -> dict[str, Any]:
     """One run's entry: numbers of each episode, then all points and all costs in a row."""
-    episodes = replay.episodes
+    episodes, steps = replay.episodes, run.replay_steps
     unsafe = [episode.unsafe for episode in episodes]
     lengths, costs = [len(steps) for steps in unsafe], [episode.cost for episode in episodes]
     return {

@@ -412,7 +412,7 @@ def recorded_table(groups: Sequence[Group]) -> Table | None:
     groups = [group for group in in_order(groups) if group.runs and group.recorded]
     rows, words = [], []
     for name, unit in groups[0].recorded.items() if groups else ():
-        told = [[group.recorded_of(run, name) for run in group.runs] for group in groups]
+        told = [[run.recorded(name) for run in group.runs] for group in groups]
         every = [of_run for runs in told for of_run in runs]
         above = np.concatenate([of_run.above_0() for of_run in every])
         if any(of_run.lowest < 0 for of_run in every) or not len(above):

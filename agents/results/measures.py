@@ -10,42 +10,19 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from operator import attrgetter
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from agents.errors import OWN_ERRORS, OwnCodeError, described
-from emcc import EpisodeRecords, cost_rate, emcc
+from emcc import cost_rate, emcc
 from emcc.arrays import as_one
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
-
-@dataclass(frozen=True)
-class RunData:
-    """The data of a run that measures are computed from."""
-
-    records: EpisodeRecords
-    """A row per training episode."""
-    steps: int
-    """Environment steps of the training."""
-    evaluation: dict[str, Any]
-    """The trained policy's, "deterministic" and "stochastic", each with means
-    (J_R, J_C, ...) and values per episode, undiscounted."""
-    window: int | None = None
-    """Episodes of the windows over which EMCC is taken; None for rollouts."""
-
-    @cached_property
-    def thirds(self) -> dict[float, EpisodeRecords]:
-        """The rollouts, or windows, that start in each third of training, by its end."""
-        return self.records.windows(self.window).by_part(self.steps)
-
-    def evaluated(self, name: str) -> float | None:
-        """A mean over the episodes of the deterministic policy; None where it was not measured."""
-        value = self.evaluation.get("deterministic", {}).get(name)
-        return None if value is None else float(value)
+if TYPE_CHECKING:
+    from agents.results.reading import RunResult
 
 
 @dataclass(frozen=True)
@@ -62,7 +39,7 @@ class Measure:
     """After the decimal point, in tables."""
     better: Literal["lower", "higher", "neither"]
     """Which value is marked as best."""
-    compute: Callable[[RunData], float | None]
+    compute: Callable[[RunResult], float | None]
     """None where the run lacks what it takes. It may raise ValueError for damaged records."""
     of: Literal["training", "policy"] = "training"
     """Marks of the trained policy's measures go to the policy of the highest return within the cost
@@ -120,16 +97,17 @@ def measure(name: str) -> Measure:
     return _REGISTRY[name]
 
 
-def measured(data: RunData, run: str) -> dict[str, float | None]:
+def measured(of: RunResult, run: str) -> dict[str, float | None]:
     """All measures of a run by name.
 
-    run: its name. Raises OwnCodeError where a measure of the user's own raises or gives no finite
-    number; the ValueError of a built-in one says that the run is damaged.
+    of: the run, without them yet; run: its name. Raises OwnCodeError where a measure of the user's
+    own raises or gives no finite number; the ValueError of a built-in one says that the run is
+    damaged.
     """
     values: dict[str, float | None] = {}
     for m in measures(shown=False):
         try:
-            value = m.compute(data)
+            value = m.compute(of)
         except OWN_ERRORS as error:
             if m in BUILT_IN:
                 raise
@@ -153,31 +131,31 @@ def _finite(value: Any) -> float:
     return number
 
 
-def _cost_rate(run: RunData) -> float:
+def _cost_rate(run: RunResult) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
-def _evaluated(name: str) -> Callable[[RunData], float | None]:
+def _evaluated(name: str) -> Callable[[RunResult], float | None]:
     return lambda run: run.evaluated(name)
 
 
-def _emcc(part: float) -> Callable[[RunData], float | None]:
-    def of(run: RunData) -> float | None:
+def _emcc(part: float) -> Callable[[RunResult], float | None]:
+    def of(run: RunResult) -> float | None:
         third = run.thirds[part]
         return emcc(third.mcc_per_rollout()[0], ALPHA) if len(third) else None
 
     return of
 
 
-def _rate(part: float) -> Callable[[RunData], float | None]:
-    def of(run: RunData) -> float | None:
+def _rate(part: float) -> Callable[[RunResult], float | None]:
+    def of(run: RunResult) -> float | None:
         third = run.thirds[part]
         return cost_rate(third.cost, third.length) if len(third) else None
 
     return of
 
 
-def _length(run: RunData) -> float | None:
+def _length(run: RunResult) -> float | None:
     lengths = run.evaluation.get("deterministic", {}).get("lengths", ())
     return float(np.mean(lengths)) if len(lengths) else None
 

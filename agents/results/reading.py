@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from agents.algorithms import ALGORITHMS
 from agents.errors import OwnCodeError, UserError
 from agents.results import recorded
-from agents.results.measures import RunData, measured
+from agents.results.measures import measured
 from agents.results.names import title_of, titled, unusual_settings
 from agents.results.recorded import Recorded
 from agents.training import derive
@@ -55,59 +55,6 @@ from emcc.records import of_digits, records_of, unpack_costs
 CVAR_ALPHA = 0.5
 PICTURES = "pictures.npz"
 """The arrays of an archive's training that pictures alone need: see `results.archive`."""
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """Results of one run."""
-
-    seed: int
-    measures: Mapping[str, float | None]
-    """By the name of the measure; None for what the run lacks."""
-    episodes: int
-    """Evaluation episodes per policy."""
-    ends: Mapping[str, int]
-    """Evaluated episodes of the deterministic policy by the place where they end; empty for a task
-    without named places."""
-    records: EpisodeRecords = field(repr=False)
-    evaluation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
-    """For each policy the means J_R, J_C and CVaR_0.5, and arrays "returns", "cost_returns" and
-    "lengths" of its episodes."""
-    ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    """Evaluated episodes by place and way to it; empty for a task without named ways."""
-    window: int | None = None
-    """Episodes of the windows over which EMCC is taken; None for rollouts."""
-
-    @property
-    def rollouts(self) -> EpisodeRecords:
-        """The records by whose rollouts, or windows, EMCC is taken."""
-        return self.records.windows(self.window)
-
-    @property
-    def total_steps(self) -> int:
-        """Environment steps that it took: those asked for, and the rest of its last epoch."""
-        return self.records.total_steps
-
-    @property
-    def end(self) -> str:
-        """The place where most of its evaluated episodes end; empty without places."""
-        return max(self.ends, key=self.ends.__getitem__, default="")
-
-    @property
-    def way(self) -> str:
-        """The way by which most of them came to that place; empty where it is unknown."""
-        ways = self.ways.get(self.end, {})
-        return max(ways, key=ways.__getitem__, default="")
-
-    @property
-    def place(self) -> str:
-        """Place and way; empty without places."""
-        return ", ".join(filter(None, (self.end, self.way)))
-
-
-def one_place(runs: Sequence[RunResult]) -> bool:
-    """Whether all runs end in the same place by the same way, or the task has no places."""
-    return len({run.place for run in runs}) < 2
 
 
 class Episode(NamedTuple):
@@ -195,45 +142,6 @@ class Training:
             return counts.reshape(len(PARTS), cells, 2, cells, 2).sum(axis=(2, 4))
         return self.get(name, len(PARTS), cells, cells).astype(np.int64)
 
-    def trained(self, run: RunId) -> list[Drawn] | None:
-        """Episodes of a run's trained policy: see `Group.trained`."""
-        prefix = f"{run.prefix}trained/"
-        if not self.has(prefix + "states"):
-            return None
-        states = self.get(prefix + "states", -1)
-        total, ends = int(states.sum()), np.cumsum(states)[:-1]
-        paths = np.split(self.get(prefix + "positions", total, 2), ends)
-        return [*map(Drawn, paths, np.split(self._bits(prefix + "unsafe", total), ends))]
-
-    def replay(self, run: RunId, records: EpisodeRecords) -> Highlights | None:
-        """A run's highlights: see `Group.replay`. records: with the training's first cost."""
-        prefix = f"{run.prefix}replay/"
-        if not self.has(prefix + "drawn"):
-            return None
-        windows, rows = zip(*derive.replay_rows(records, self.replay_steps(run)), strict=True)
-        length, start = records.length[[*rows]], records.start_step[[*rows]]
-        total, ends = int(length.sum()), np.cumsum(length)[:-1]
-        shown = [len(derive.shown_states(steps)) for steps in length]
-        drawn = derive.path_of(self.get(prefix + "drawn", -1, 2, sum(shown)))
-        points = np.split(drawn, np.cumsum(shown)[:-1])
-        unsafe = np.split(self._bits(prefix + "unsafe", total), ends)
-        told = (windows, start.tolist(), points, unsafe, records.cost[[*rows]].tolist())
-        return Highlights([*map(Highlight, *told)], self.get(prefix + "box", 2, 2))
-
-    def replay_steps(self, run: RunId) -> int:
-        """Environment steps that the windows of a run's replay divide."""
-        return max(1, int(self.get(f"{run.prefix}replay/steps")))
-
-    def recorded_of(
-        self, run: RunId, name: str, records: EpisodeRecords, window: int | None = None
-    ) -> Recorded:
-        """A number that was recorded at each step of a run, with EMCC over windows or rollouts."""
-        prefix = f"{run.prefix}info/{name}/"
-        if prefix + "lowest" not in self.arrays:
-            return recorded.of_steps(self.of_steps(prefix, records.total_steps), records, window)
-        with content_of(self.path / RESULTS):
-            return recorded.unpacked(self.arrays, prefix, window)
-
     def of_steps(self, name: str, steps: int) -> NDArray[np.float64]:
         """A number of each step of a run, [steps], from the arrays below a name."""
         with content_of(self.path / RESULTS):
@@ -242,8 +150,123 @@ class Training:
                 raise ValueError(f"{name} has {len(values)} of {steps} steps")
         return values
 
-    def _bits(self, name: str, count: int) -> NDArray[np.bool_]:
+    def bits(self, name: str, count: int) -> NDArray[np.bool_]:
+        """An array of so many bits."""
         return np.unpackbits(self.get(name, -(-count // 8)), count=count).astype(bool)
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A complete run: what measures are computed from, and these."""
+
+    seed: int
+    measures: Mapping[str, float | None]
+    """By the name of the measure; None for what the run lacks."""
+    episodes: int
+    """Evaluation episodes per policy."""
+    ends: Mapping[str, int]
+    """Evaluated episodes of the deterministic policy by the place where they end; empty for a task
+    without named places."""
+    records: EpisodeRecords = field(repr=False)
+    """A row per training episode."""
+    evaluation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
+    """For each policy, "deterministic" and "stochastic", the means J_R, J_C and CVaR_0.5, and
+    arrays "returns", "cost_returns" and "lengths" of its episodes, undiscounted."""
+    ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Evaluated episodes by place and way to it; empty for a task without named ways."""
+    window: int | None = None
+    """Episodes of the windows over which EMCC is taken; None for rollouts."""
+    training: Training | None = field(default=None, repr=False)
+    """The one it is of, which has what pictures and tables of recorded numbers show."""
+    prefix: str = ""
+    """Of the names of its arrays there."""
+
+    @property
+    def total_steps(self) -> int:
+        """Environment steps that it took: those asked for, and the rest of its last epoch."""
+        return self.records.total_steps
+
+    @property
+    def rollouts(self) -> EpisodeRecords:
+        """The records by whose rollouts, or windows, EMCC is taken."""
+        return self.records.windows(self.window)
+
+    @cached_property
+    def thirds(self) -> dict[float, EpisodeRecords]:
+        """The rollouts, or windows, that start in each third of training, by its end."""
+        return self.rollouts.by_part(self.total_steps)
+
+    def evaluated(self, name: str) -> float | None:
+        """A mean over the episodes of the deterministic policy; None where it was not measured."""
+        value = self.evaluation.get("deterministic", {}).get(name)
+        return None if value is None else float(value)
+
+    @property
+    def end(self) -> str:
+        """The place where most of its evaluated episodes end; empty without places."""
+        return max(self.ends, key=self.ends.__getitem__, default="")
+
+    @property
+    def way(self) -> str:
+        """The way by which most of them came to that place; empty where it is unknown."""
+        ways = self.ways.get(self.end, {})
+        return max(ways, key=ways.__getitem__, default="")
+
+    @property
+    def place(self) -> str:
+        """Place and way; empty without places."""
+        return ", ".join(filter(None, (self.end, self.way)))
+
+    def trained(self) -> list[Drawn] | None:
+        """Episodes of its trained policy, which the first `derive.DRAWN_POLICIES` runs have; None
+        without positions."""
+        own, prefix = self._arrays, f"{self.prefix}trained/"
+        if not own.has(prefix + "states"):
+            return None
+        states = own.get(prefix + "states", -1)
+        total, ends = int(states.sum()), np.cumsum(states)[:-1]
+        paths = np.split(own.get(prefix + "positions", total, 2), ends)
+        return [*map(Drawn, paths, np.split(own.bits(prefix + "unsafe", total), ends))]
+
+    def replay(self) -> Highlights | None:
+        """The episode of highest MCC, by the training's first cost, in each window of its training;
+        None without positions."""
+        own, prefix, records = self._arrays, f"{self.prefix}replay/", self.records
+        if not own.has(prefix + "drawn"):
+            return None
+        windows, rows = zip(*derive.replay_rows(records, self.replay_steps), strict=True)
+        length, start = records.length[[*rows]], records.start_step[[*rows]]
+        total, ends = int(length.sum()), np.cumsum(length)[:-1]
+        shown = [len(derive.shown_states(steps)) for steps in length]
+        drawn = derive.path_of(own.get(prefix + "drawn", -1, 2, sum(shown)))
+        points = np.split(drawn, np.cumsum(shown)[:-1])
+        unsafe = np.split(own.bits(prefix + "unsafe", total), ends)
+        told = (windows, start.tolist(), points, unsafe, records.cost[[*rows]].tolist())
+        return Highlights([*map(Highlight, *told)], own.get(prefix + "box", 2, 2))
+
+    @property
+    def replay_steps(self) -> int:
+        """Environment steps that the windows of its replay divide."""
+        return max(1, int(self._arrays.get(f"{self.prefix}replay/steps")))
+
+    def recorded(self, name: str) -> Recorded:
+        """A number that was recorded at each of its steps."""
+        own, prefix = self._arrays, f"{self.prefix}info/{name}/"
+        if prefix + "lowest" not in own.arrays:
+            values = own.of_steps(prefix, self.total_steps)
+            return recorded.of_steps(values, self.records, self.window)
+        with content_of(own.path / RESULTS):
+            return recorded.unpacked(own.arrays, prefix, self.window)
+
+    @property
+    def _arrays(self) -> Training:
+        assert self.training is not None
+        return self.training
+
+
+def one_place(runs: Sequence[RunResult]) -> bool:
+    """Whether all runs end in the same place by the same way, or the task has no places."""
+    return len({run.place for run in runs}) < 2
 
 
 @dataclass(frozen=True)
@@ -348,19 +371,6 @@ class Group:
         thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
         return [Visits(visited, value, *number) for visited, value, number in thirds]
 
-    def trained(self, seed: int) -> list[Drawn] | None:
-        """Episodes of a trained policy, which the first `derive.DRAWN_POLICIES` runs have; None
-        without positions."""
-        return self._training(seed).trained(RunId(self.task, seed))
-
-    def replay(self, run: RunResult) -> Highlights | None:
-        """The episode of highest MCC in each window of a run's training; None without positions."""
-        return self._training(run.seed).replay(RunId(self.task, run.seed), run.records)
-
-    def replay_steps(self, run: RunResult) -> int:
-        """Environment steps that the windows of a run's replay divide."""
-        return self._training(run.seed).replay_steps(RunId(self.task, run.seed))
-
     @property
     def recorded(self) -> dict[str, str]:
         """Units of what its task has recorded at each step, by name."""
@@ -369,15 +379,6 @@ class Group:
                 file_name(self.task) + "/info", np.empty((0, 2), str)
             )
             return dict(names.tolist())
-
-    def recorded_of(self, run: RunResult, name: str) -> Recorded:
-        """A number that was recorded at each step of a run."""
-        own = RunId(self.task, run.seed)
-        return self._training(run.seed).recorded_of(own, name, run.records, run.window)
-
-    def _training(self, seed: int) -> Training:
-        """The training that has a seed."""
-        return next(own for own in self.trainings if seed in own.config.seeds)
 
 
 class LeftOut(str):
@@ -541,9 +542,7 @@ def _groups(path: AnyPath, folder: str, title: str, window: int | None) -> list[
         runs, missing = [], {}
         for seed in config.seeds:
             try:
-                runs.append(
-                    _read_run(training.arrays, config, RunId(task, seed), cost, title, window)
-                )
+                runs.append(_read_run(training, RunId(task, seed), cost, window))
             except OwnCodeError:
                 raise
             except UserError as error:
@@ -588,15 +587,9 @@ def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> Episode
         raise UserError(f"is damaged: {error}") from None
 
 
-def _read_run(
-    arrays: Mapping[str, NDArray],
-    config: TrainConfig,
-    run: RunId,
-    cost: str,
-    title: str,
-    window: int | None,
-) -> RunResult:
+def _read_run(training: Training, run: RunId, cost: str, window: int | None) -> RunResult:
     """A complete run. Raises UserError for another."""
+    arrays, config = training.arrays, training.config
     if f"{run.prefix}failure" in arrays:
         raise UserError(str(arrays[f"{run.prefix}failure"]))
     records = run_records(arrays, run, cost)
@@ -606,17 +599,18 @@ def _read_run(
         evaluation = _evaluation(arrays, run, config.costs.index(cost))
         if not evaluation:
             raise UserError(derive.why_failed(arrays, run))
-        data = RunData(records, records.total_steps, evaluation, window)
-        values = measured(data, f"{title}, {run}")
         ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
         episodes = len(evaluation["deterministic"]["returns"])
+        told = (ends, records, evaluation, ways, window, training, run.prefix)
+        found = RunResult(run.seed, {}, episodes, *told)
+        found = replace(found, measures=measured(found, f"{training.title}, {run}"))
         if ends and sum(ends.values()) != episodes:
             raise ValueError(f"{episodes} evaluated episodes end in {sum(ends.values())} places")
     except UserError:
         raise
     except UNREADABLE as error:
         raise UserError(f"is damaged: {error}") from None
-    return RunResult(run.seed, values, episodes, ends, records, evaluation, ways, window)
+    return found
 
 
 def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[str, dict[str, Any]]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import emcc
-from agents.results.measures import Measure, RunData, measure, measures
+from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, RunResult
 from emcc import Interval, Share
 from emcc.parts import PARTS
@@ -200,9 +200,9 @@ def over_windows(group: Group, window: int = ACROSS) -> Group:
 def _over_windows(run: RunResult, window: int) -> RunResult:
     if run.window is not None:
         return run
-    data = RunData(run.records, run.total_steps, {}, window)
-    of_thirds = {m.name: m.compute(data) for m in measures(shown=False) if m.part is not None}
-    return replace(run, window=window, measures={**run.measures, **of_thirds})
+    run = replace(run, window=window)
+    of_thirds = {m.name: m.compute(run) for m in measures(shown=False) if m.part is not None}
+    return replace(run, measures={**run.measures, **of_thirds})
 
 
 def mixed(groups: Iterable[Group]) -> bool:

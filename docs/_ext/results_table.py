@@ -263,7 +263,7 @@ def forces() -> list[str]:
     the steps with more than each of `FORCES`."""
     rows = {}
     for group in read_groups([RESULTS / "physics" / "level-0.zip"], []):
-        runs = [group.recorded_of(run, "contact_force") for run in group.runs]
+        runs = [run.recorded("contact_force") for run in group.runs]
         felt = np.concatenate([force.above_0() for force in runs])
         steps, most = sum(run.steps.sum() for run in runs), max(run.most.max() for run in runs)
         told = (*(f"{value:.3g}" for value in np.percentile(felt, (50, 99))), f"{most:.0f}")

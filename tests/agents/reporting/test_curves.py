@@ -1,6 +1,7 @@
 """The figures of a report, against loops over episodes."""
 
 import math
+from dataclasses import replace
 from statistics import fmean, stdev
 
 import numpy as np
@@ -10,7 +11,7 @@ from by_hand import T_OF_4
 from agents.presets import preset
 from agents.reporting import figures
 from agents.reporting.figures import POINTS, WINDOW, midpoints, thirds_emcc
-from agents.results.measures import RunData, measured
+from agents.results.measures import measured
 from agents.results.reading import Group, RunResult
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords, emcc
@@ -39,8 +40,8 @@ def group(records, places=("",)):
     """Runs of CPO that end in some places in turn."""
     config = TrainConfig("cpo", (TASK,), tuple(range(len(records))), TOTAL, preset("cpo", TASK))
     ends = [{places[k % len(places)]: 1} for k in range(len(records))]
-    data = [RunData(of_run, of_run.total_steps, {}) for of_run in records]
-    runs = [RunResult(k, measured(of, ""), 1, ends[k], of.records) for k, of in enumerate(data)]
+    runs = [RunResult(k, {}, 1, ends[k], of_run) for k, of_run in enumerate(records)]
+    runs = [replace(run, measures=measured(run, "")) for run in runs]
     return Group("a", TASK, config, runs, [])
 
 

@@ -25,7 +25,7 @@ from agents.reporting.maps import (
     replay_data,
 )
 from agents.reporting.page import script_json
-from agents.results.reading import Group
+from agents.results.reading import RunResult
 from agents.training import derive
 from agents.training.derive import STATES, drawn, shown_states
 from circle2d_mj import Circle2DConfig
@@ -110,15 +110,19 @@ def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
     assert words[4:] == ["EMCC 0.60 (2 of 8 rollouts)", "EMCC 0.60 (1 of 4 rollouts)"]
 
 
-class Played(Group):
-    """Runs whose policies' episodes are given."""
+class Played(RunResult):
+    """A run whose policy's episodes are given."""
 
-    def trained(self, seed):
+    def trained(self):
         return EPISODES
 
 
 def played(groups):
-    return [Played(**{k: getattr(g, k) for k in g.__dataclass_fields__}) for g in groups]
+    own = RunResult.__dataclass_fields__
+    return [
+        replace(g, runs=[Played(**{k: getattr(run, k) for k in own}) for run in g.runs])
+        for g in groups
+    ]
 
 
 PATH = np.linspace((12.0, 1.5), (2.0, 1.5), 11).astype(np.float32)

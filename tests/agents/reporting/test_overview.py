@@ -20,7 +20,7 @@ from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.overall import TASKS as TOGETHER
 from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
 from agents.results.archive import write_archive
-from agents.results.measures import RunData, measured
+from agents.results.measures import measured
 from agents.results.reading import Group, RunResult, read_groups
 from agents.results.statistics import ACROSS_WORDS, comparisons
 from agents.training.config import TrainConfig
@@ -40,8 +40,8 @@ def run(seed, cost, streak, end="corridor"):
     length = np.full(EPISODES, 50)
     records = EpisodeRecords(np.arange(EPISODES), start, length, -1.0 * length, costs, streaks)
     evaluation = {"deterministic": {"J_R": -9.0 - seed, "J_C": 1.0, "CVaR_0.5": 1.0}}
-    data = RunData(records, STEPS, evaluation)
-    return RunResult(seed, measured(data, ""), 100, {end: 100}, records)
+    found = RunResult(seed, {}, 100, {end: 100}, records, evaluation)
+    return replace(found, measures=measured(found, ""))
 
 
 def group(task, name, runs):
@@ -75,7 +75,7 @@ def test_rollouts_of_several_episodes_stay_together():
     cost, streak = [10, 0, 20, 0, 30, 40, 0, 0], [10, 0, 5, 0, 30, 20, 0, 0]
     number, length = np.arange(8), np.full(8, 100)
     records = EpisodeRecords(number // 2, 100 * number, length, np.zeros(8), cost, streak)
-    data = RunData(records, 800, {})
+    data = RunResult(0, {}, 0, {}, records)
     rates = [measured(data, "")[f"rate_{part}"] for part in PARTS]
     # They start at 0, 25, 50 and 75 %.
     assert rates == pytest.approx([30 / 400, 70 / 200, 0.0])
@@ -310,7 +310,7 @@ def test_orders_by_hand(groups):
 def test_the_emcc_of_a_third_is_of_its_worst_tenth():
     streaks = np.array([10, 20, 30, *[0] * 57])
     records = replace(run(0, 20, 20).records, longest_streak=streaks)
-    values = measured(RunData(records, STEPS, {}), "")
+    values = measured(RunResult(0, {}, 0, {}, records), "")
     assert values["EMCC_0.33"] == pytest.approx(25 / 50)  # of 20 the two highest
 
 

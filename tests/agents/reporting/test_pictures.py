@@ -92,7 +92,7 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
     assert view.extent == (-task.arena, task.arena, -task.arena, task.arena)
     (group,) = read_folder(folder, "a")
     run = group.runs[1]
-    kept = group.trained(6)
+    kept = run.trained()
     for k, (path, costs) in enumerate(episodes):
         assert path.shape == (51, 2)
         np.testing.assert_allclose(path, kept[k].positions, rtol=1e-5, atol=1e-6)

@@ -83,15 +83,15 @@ def test_positions_come_from_observation_and_info(runs):
 
 def test_drawn_episodes_begin_where_they_started(runs):
     group = next(group for group in read_groups([runs.folder], []) if group.task == "Drift-v0")
-    for seed in group.seeds:
-        episodes = group.trained(seed)
+    for run in group.runs:
+        episodes = run.trained()
         assert len(episodes) == 3
         for positions, unsafe in episodes:
             assert np.abs(np.diff(positions, axis=0)).max() < 0.1001 * 1.01
             assert not unsafe[0]
             np.testing.assert_array_equal(unsafe[1:], positions[1:, 0] > 0)
     other = next(group for group in read_groups([runs.folder], []) if group.task == "Blind-v0")
-    assert other.trained(3) is None
+    assert other.runs[0].trained() is None
     for run in group.runs:
         assert sum(run.ends.values()) == 3
         for place, ways in run.ways.items():
@@ -105,7 +105,7 @@ def test_replay_by_hand(runs):
     for run in group.runs:
         positions = steps_of(runs.folder, f"Drift-v0/{run.seed}", "positions")
         costs = steps_of(runs.folder, f"Drift-v0/{run.seed}", "costs/cost")
-        replay = group.replay(run)
+        replay = run.replay()
         box = positions.max(axis=0) - positions.min(axis=0)
         for episode in replay.episodes:
             records = run.records

@@ -82,7 +82,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     [kept], [own] = (read_groups([path], []) for path in (tmp_path / "a.zip", with_it.folder))
     assert "Pressed-v0/3/info/beyond/unsafe" not in kept.trainings[0].arrays
     assert str(recorded_table([kept])) == str(recorded_table([own])) != "None"
-    x, beyond = (kept.recorded_of(kept.runs[0], name) for name in ("x", "beyond"))
+    x, beyond = (kept.runs[0].recorded(name) for name in ("x", "beyond"))
     assert x.lowest < 0 == beyond.lowest
     steps = unpacked(with_it.folder, "beyond")
     assert beyond.steps.sum() == len(steps)
@@ -91,12 +91,11 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     np.testing.assert_allclose(beyond.above_0(), told, rtol=0.0101)
     for threshold in (0.0, 0.11, 0.5, 3.0, 1e-9, 1e9):
         archived, exact = (
-            group.recorded_of(group.runs[0], "beyond").emcc_above(threshold)
-            for group in (kept, own)
+            group.runs[0].recorded("beyond").emcc_above(threshold) for group in (kept, own)
         )
         assert archived == pytest.approx(exact)
     [windowed] = read_groups([tmp_path / "a.zip"], [], None, 2)
-    above = windowed.recorded_of(windowed.runs[0], "beyond").emcc_above
+    above = windowed.runs[0].recorded("beyond").emcc_above
     assert {*above(0.0).values()} == {None}
     never = np.zeros(own.runs[0].records.total_steps)  # a run that touches nothing
     kept_of_it = recorded.packed(never, own.runs[0].records)
