@@ -39,7 +39,7 @@ from emcc.parts import ALPHA, PARTS
 @dataclass(frozen=True)
 class ReportOptions(Settings):
     """Print the table of trained runs beside the paper's; write report.md, report.tex, report.csv,
-    and index.html with training curves and heat maps as well."""
+    measures.csv, and index.html with training curves and heat maps as well."""
 
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives. All go into

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from agents.algorithms import title
 from agents.reporting.tables import ends_words
+from agents.results.frame import COLUMNS, rows
 from agents.results.measures import measures
 from agents.results.reading import Group
 from agents.results.statistics import Difference, group_mean, known, places, within_limit
@@ -35,6 +36,13 @@ def numbers_csv(lines: Iterable[Line]) -> str:
     table = csv.DictWriter(text, head, extrasaction="ignore", lineterminator="\n")
     table.writeheader()
     table.writerows(lines)
+    return text.getvalue()
+
+
+def measures_csv(groups: Sequence[Group]) -> str:
+    """The tidy rows of `agents.results.frame.rows` as CSV: what is not known is empty."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows(groups)])
     return text.getvalue()
 
 

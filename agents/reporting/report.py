@@ -15,7 +15,7 @@ from agents.reporting.figures import (
     task_figures,
 )
 from agents.reporting.maps import Scene, Scenes, maps, replay_data
-from agents.reporting.numbers import numbers_csv, report_lines
+from agents.reporting.numbers import measures_csv, numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
@@ -98,8 +98,8 @@ def report(
 def table(folder: Path, study: Study | None = None) -> list[Table]:
     """Write the tables of every folder of runs at or below a folder, without figures.
 
-    Writes `report.md` and `report.csv`, but into no archive, and gathers no claims. Otherwise as
-    `report`.
+    Writes `report.md`, `measures.csv` and `report.csv`, but into no archive, and gathers no claims.
+    Otherwise as `report`.
     """
     notes: list[str] = []
     study = study or Study()
@@ -112,8 +112,9 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
 
 
 def _write_tables(folder: Path, blocks: Sequence[Block], groups: Sequence[Group]) -> None:
-    """Write `report.md`, of some blocks, and `report.csv`."""
+    """Write `report.md`, of some blocks, and of all groups `measures.csv` and `report.csv`."""
     write_whole(folder / "report.md", markdown(blocks))
+    write_whole(folder / "measures.csv", measures_csv(groups))
     write_whole(folder / "report.csv", numbers_csv(report_lines(groups)))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -43,39 +43,42 @@ def read(
     return frame([*map(printed, groups)] if printed else groups)
 
 
-def frame(groups: Sequence[Group]) -> pandas.DataFrame:
-    """A row for each run and measure.
+def rows(groups: Sequence[Group]) -> Iterator[tuple[Any, ...]]:
+    """`COLUMNS` of each run and measure: what every table has the means of.
 
     source: "runs", or the publication whose numbers these are. group: number of the group, for
     group-bys. name: of the algorithm with its settings, as tables have it. settings: those that are
-    not the preset's, in words. cost: that the measures are of; limit: of it, NaN for an algorithm
+    not the preset's, in words. cost: that the measures are of; limit: of it, None for an algorithm
     that does not limit it. steps: that the run took. ends_in: where most evaluated episodes end,
     empty for a task without named places. measure: its name, without the part: "rate" is the cost
     rate of a third, "length" that of evaluated episodes. part: end of the third of training that
-    the measure is of, NaN for one of the whole. window: episodes of the windows over which a
-    measure of a third is taken, NaN for rollouts. value: NaN where the run lacks it. failure: why a
-    run is not complete, which has no values; empty for the others.
+    the measure is of, None for one of the whole. window: episodes of the windows over which a
+    measure of a third is taken, None for rollouts. value: None where the run lacks it. failure: why
+    a run is not complete, which has no values; empty for the others. groups: with their names.
     """
-    import pandas as pd
-
     every = measures(shown=False)
-    rows: list[tuple[Any, ...]] = []
-    for number, group in enumerate(with_names(groups)):
+    for number, group in enumerate(groups):
         about = (number, group.name, group.task, group.config.algorithm, group.settings)
         about = (*about, group.cost, group.limit, group.folder)
         for run in group.runs:
             own = ("runs", *about, run.seed, run.total_steps, run.place)
             for m in every:
                 window = None if m.part is None else run.window
-                rows.append((*own, m.stem, m.part, window, run.measures.get(m.name), ""))
+                yield (*own, m.stem, m.part, window, run.measures.get(m.name), "")
         for seed, why in group.missing.items():
             own = ("runs", *about, seed, None, "")
-            rows += [(*own, m.stem, m.part, None, None, why) for m in every]
+            yield from ((*own, m.stem, m.part, None, None, why) for m in every)
         own = (group.publication, *about, None, None, "")
-        values = [(m, group.printed[m.name]) for m in every if m.name in group.printed]
-        rows += [(*own, m.stem, m.part, None, value, "") for m, value in values]
-    numbers = ("limit", "part", "window", "value")
-    made = pd.DataFrame(rows, columns=list(COLUMNS)).astype(dict.fromkeys(numbers, float))
+        for m in (m for m in every if m.name in group.printed):
+            yield (*own, m.stem, m.part, None, group.printed[m.name], "")
+
+
+def frame(groups: Sequence[Group]) -> pandas.DataFrame:
+    """`rows` as a frame, what is not known NaN."""
+    import pandas as pd
+
+    made = pd.DataFrame(rows(with_names(groups)), columns=list(COLUMNS))
+    made = made.astype(dict.fromkeys(("limit", "part", "window", "value"), float))
     return made.astype({"seed": "Int64", "steps": "Int64"})
 
 

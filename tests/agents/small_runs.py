@@ -192,7 +192,7 @@ def processes(*words):
     return found
 
 
-NO_RESULTS = ("status.json", "report.md", "report.csv", ".lock", "worker.log")
+NO_RESULTS = ("status.json", "report.md", "report.csv", "measures.csv", ".lock", "worker.log")
 """Timings, logs and the command's table."""
 
 

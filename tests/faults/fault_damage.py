@@ -14,7 +14,15 @@ import agents
 from agents.errors import UserError
 from emcc.__main__ import main as emcc
 
-NOT_OF_RESULTS = (".lock", "status.json", "report.md", "report.csv", "heatmap.png", "film.gif")
+NOT_OF_RESULTS = (
+    ".lock",
+    "status.json",
+    "report.md",
+    "report.csv",
+    "measures.csv",
+    "heatmap.png",
+    "film.gif",
+)
 """Files that commands do not read, or that say nothing of results."""
 
 

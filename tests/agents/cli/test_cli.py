@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
 def test_train_and_report_print_and_write_the_table(folder, capsys):
     assert {path.name for path in folder.iterdir()} == {
         *(".lock", "checkpoints", "config.json", "report.csv", "report.md", "results.npz"),
-        *("status.json", "steps"),
+        *("status.json", "steps", "measures.csv"),
     }
     assert main(["report", str(folder)]) == 0
     out, err = capsys.readouterr()

@@ -84,7 +84,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert len(shown.images) == 4
     assert all(image["alt"] for image in shown.images)
     files = {p.name for p in tmp_path.iterdir() if p.is_file()}
-    assert files == {"index.html", "report.csv", "report.md", "report.tex"}
+    assert files == {"index.html", "measures.csv", "report.csv", "report.md", "report.tex"}
     assert "torch 2" in text
     edit_results(folder, **{"Circle2D-1-v0__1__failure": np.array("it fell")})
     assert main(["report", str(tmp_path)]) == 1

@@ -15,7 +15,7 @@ from agents.paper.grid import ablations
 from agents.paper.sections import STUDY
 from agents.reporting.compare import compare
 from agents.reporting.provenance import summary
-from agents.reporting.report import report
+from agents.reporting.report import report, table
 from agents.results.frame import COLUMNS, frame
 from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read_groups
@@ -198,6 +198,13 @@ def test_a_row_for_each_run_and_measure(tmp_path):
     assert set(tidy.loc[of_thirds, "part"]) == {0.33, 0.66, 0.99}
     assert tidy.loc[~of_thirds, "part"].isna().all()
     assert set(tidy["name"]) == {"CPO (100 steps)", "WCSAC (100 steps)"}
+    table(tmp_path)
+    for line, row in zip(lines_of(tmp_path / "measures.csv"), tidy.itertuples(), strict=True):
+        assert line["measure"] == row.measure and int(line["seed"]) == row.seed
+        for name in ("part", "value"):
+            assert float(line[name] or "nan") == pytest.approx(
+                getattr(row, name), 0, 0, nan_ok=True
+            )
 
 
 def test_a_frame_of_folders(tmp_path):
