@@ -1,4 +1,4 @@
-"""Marks that the theme lacks for readers with a keyboard or a screen reader."""
+"""What the theme lacks: marks for readers with a keyboard or a screen reader, and whole numbers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,26 @@ _BODY = {
     r'<dl>(?=\s*<dd><em class="sig-param")': r'<dl role="presentation">',
 }
 
+_CODE_OR_TAG = re.compile(r"(<(pre|code)\b.*?</\2>|<[^>]*>)", re.DOTALL)
+
+
+def whole_numbers(html: str) -> str:
+    """The page with 10 000 unbreakable in text and tables; code stays, since it is copied."""
+    parts, text = [], 0
+    for found in _CODE_OR_TAG.finditer(html):
+        parts += [_unbroken(html[text : found.start()]), found[0]]
+        text = found.end()
+    return "".join([*parts, _unbroken(html[text:])])
+
+
+def _unbroken(text):
+    return re.sub(r"(?<=\d) (?=\d{3}(?!\d))", "\N{NO-BREAK SPACE}", text)
+
 
 def _complete(app, pagename, templatename, context, doctree):
+    context["body"] = whole_numbers(context.get("body", ""))
     for pattern, better in _BODY.items():
-        context["body"] = re.sub(pattern, better, context.get("body", ""))
+        context["body"] = re.sub(pattern, better, context["body"])
     tree = context.get("furo_navigation_tree", "")
     context["furo_navigation_tree"] = tree.replace(
         'role="heading"', 'role="heading" aria-level="2"'
