@@ -385,9 +385,9 @@ def profiles_figure(groups: Sequence[Group]) -> Figure:
             axis.fill_between(THRESHOLDS, *band, color=style.colour, alpha=0.13, linewidth=0)
 
     words = (
-        "Share of a third's rollouts whose MCC, the longest chain of cost steps over the episode's "
-        f"length, is above τ. Lines: mean over seeds; areas: {INTERVALS}. EMCC is the mean of the "
-        f"MCC right of where a run's line crosses {ALPHA:g} (dotted)."
+        "Share of a third's rollouts whose MCC, the longest streak of cost steps over the "
+        f"episode's length, is above τ. Lines: mean over seeds; areas: {INTERVALS}. EMCC is the "
+        f"mean of the MCC right of where a run's line crosses {ALPHA:g} (dotted)."
     )
     content = _facets(groups, ("τ", "P(MCC > τ)"), draw, level=ALPHA)
     return Figure(content, "Profiles of MCC", words)

@@ -187,7 +187,7 @@ class Table:
             cells = [row.cells[k] for k in shown]
             below = [_small("".join(more)), *map(_latex_interval, cells)]
             lines += [[_latex(name), *map(_latex, cells)], *[below] * any(below)]
-        head = [_latex(self.head[k]) for k in (0, *shown)]
+        head = [_latex(self.head[0]), *(_latex_symbol(self.head[k]) for k in shown)]
         legend = "brackets: intervals, parentheses: ranges"
         legend = "; ".join(filter(None, [one_line(self.legend), legend * any(self._intervals)]))
         notes = [f"% Note: {one_line(note)}\n" for note in self.notes]
@@ -263,6 +263,15 @@ def _latex(cell: Cell) -> str:
         return one_line(cell).translate(LATEX)
     text = _minus(cell.text)
     return rf"\textbf{{{text}}}" if cell.marked else text
+
+
+def _latex_symbol(head: str) -> str:
+    """The head of a column; J_R and EMCC_0.33 have their index below the line, as in a text."""
+    symbol = re.fullmatch(r"([A-Za-z]+)_([A-Z]|[\d.]+)", head)
+    if symbol is None:
+        return _latex(head)
+    stem, index = symbol.groups()
+    return rf"${stem}_{{{index}}}$" if len(stem) == 1 else rf"{stem}$_{{{index}}}$"
 
 
 def _latex_interval(cell: Cell) -> str:

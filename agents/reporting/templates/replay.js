@@ -130,7 +130,7 @@
     set(curve, ".cursor", `M${x} ${PLOT.top}V${PLOT.bottom}`);
     now.setAttribute("cx", x);
     now.setAttribute("cy", up(shown.mcc));
-    const chain = `longest chain ${shown.chain.length} of ${shown.length} steps`;
+    const chain = `longest streak ${shown.chain.length} of ${shown.length} steps`;
     const text = `Window ${shown.window + 1} of ${data.windows}, the episode from step ` +
       `${count(shown.start)}: MCC ${shown.mcc.toFixed(2)} (${chain}), cost ` +
       `${shown.cost.toLocaleString("en-US", { maximumFractionDigits: 2 })}`;

@@ -114,7 +114,7 @@ def test_every_run_can_be_chosen(opened, page_file):
 
 
 def test_what_is_drawn_is_what_was_recorded(opened, page_file):
-    """Every window of a run, against its files: path, cost, longest chain."""
+    """Every window of a run, against its files: path, cost, longest streak."""
     page = opened()
     page.select_option("#replay-algorithm", label="CPO (3,000 steps)")
     page.select_option("#replay-seed", label="1")
@@ -134,6 +134,6 @@ def test_what_is_drawn_is_what_was_recorded(opened, page_file):
         assert np.abs(path - expected).max() <= 0.06 + ((high - low) / 1023 / 30 * 1000).max()
         of = costs[start : start + 50]
         chain = max(map(len, "".join(str(int(c)) for c in of).split("0")))
-        assert f"MCC {chain / 50:.2f} (longest chain {chain} of 50 steps), cost {of.sum():g}." in (
+        assert f"MCC {chain / 50:.2f} (longest streak {chain} of 50 steps), cost {of.sum():g}." in (
             words
         )

@@ -264,7 +264,7 @@ def test_latex_has_the_means_and_what_letters_mean_there():
         "% 50 % of all; brackets: intervals, parentheses: ranges",
         r"\begin{tabular}{@{}lrr@{}}",
         r"\toprule",
-        r"Task\_1 & J\_R & solved \\",
+        r"Task\_1 & $J_{R}$ & solved \\",
         r"\midrule",
         r"A \& B & \textbf{$-$4.25} & 5.0 \\",
         r"{\scriptsize (x\_y 2), mean of 2} & {\scriptsize [$-$5.00, $-$3.50]} & "
@@ -275,14 +275,17 @@ def test_latex_has_the_means_and_what_letters_mean_there():
         "}",
         "% Note: a note",
     ]
-    assert r"Task\_1 & J\_R \\" in table.latex().splitlines()  # of the paper's columns it has one
+    # Of the paper's columns it has one.
+    assert r"Task\_1 & $J_{R}$ \\" in table.latex().splitlines()
+    table = Table("", ["", "EMCC_0.33", "my_measure"], [Row("A", [Number(1.0), Number(2.0)])])
+    assert r" & EMCC$_{0.33}$ & my\_measure \\" in table.latex(("EMCC_0.33", "my_measure"))
 
 
 def test_columns_of_latex_are_chosen_by_their_heads(tmp_path):
     write_evaluated(tmp_path, "cpo", costs=(1, 2))
     report(tmp_path, columns=("J_C", "mean streak (steps)"))
-    head = [line for line in (tmp_path / "report.tex").read_text().splitlines() if "J\\_C" in line]
-    assert head == [r"Circle2D-1-v0 & J\_C & mean streak (steps) \\"]
+    head = [line for line in (tmp_path / "report.tex").read_text().splitlines() if "J_{C}" in line]
+    assert head == [r"Circle2D-1-v0 & $J_{C}$ & mean streak (steps) \\"]
     with pytest.raises(UserError, match=r"no table has a column 'J_c': did you mean 'J_C'"):
         report(tmp_path, columns=("J_c",))
 
