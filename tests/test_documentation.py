@@ -174,6 +174,23 @@ def test_links_of_the_site_lead_to_its_pages(name, made_pages):
             assert path.exists()
 
 
+def prose(path):
+    """How many words stand outside of code, tables and the targets of links."""
+    left_out = r"```[\s\S]*?```|^\|.*$|</?\w[^>]*>|(?<=\])\([^)]*\)"
+    text = re.sub(left_out, "", path.read_text(), flags=re.MULTILINE)
+    return sum(bool(re.search("[A-Za-z]", word)) for word in text.split())
+
+
+def test_the_pages_stay_short():
+    """A first screen, results that are read to their end, and no page too many; the changelog,
+    which grows by nature, is not counted."""
+    assert len(README.splitlines()) <= 105
+    results = sorted((ROOT / "results").rglob("README.md"))
+    for page in results:
+        assert prose(page) <= {"results": 1_200, "streaks": 800}.get(page.parent.name, 600), page
+    assert sum(map(prose, [*PAGES, *results, ROOT / "benchmarks" / "README.md"])) <= 14_000
+
+
 def test_one_version_everywhere():
     assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"version = {{{VERSION}}}" in README

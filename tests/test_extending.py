@@ -63,7 +63,8 @@ ALGORITHMS = {
 
 def command_of(module):
     """The page's command for a module, into the folder `runs`."""
-    (line,) = re.findall(rf"```sh\ncircle2d (train \S+ --import {module} .*)\n```", PAGE)
+    page = PAGE.replace("\\\n", " ")
+    (line,) = re.findall(rf"^circle2d (train \S+ --import {module} .*)$", page, re.MULTILINE)
     return re.sub(r"runs/\w+", "runs", line).split()
 
 
