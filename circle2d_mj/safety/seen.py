@@ -31,6 +31,12 @@ class Part:
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"{self._what}.{name} cannot be written: {HOW}")
 
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        known = ", ".join(known for known in dir(self) if not known.startswith("_"))
+        raise AttributeError(f"{self._what} has no {name!r}; it has {known}")
+
     def __repr__(self) -> str:
         shown = (f"{k}={v!r}" for k, v in self.__dict__.items() if not k.startswith("_"))
         return f"{self._what}({', '.join(shown)})"
@@ -43,7 +49,7 @@ class Objects(Part):
     def pos(self) -> Any:
         """Where they are now, [3] m, or a list of such arrays where there may be several."""
         places = self._simulation.positions(self.name)[self._index]
-        return list(places) if hasattr(self, "num") else places[0]
+        return list(places) if "num" in vars(self) else places[0]
 
 
 class Buttons(Objects):
@@ -263,11 +269,6 @@ class TaskView(Part):
         kinds = {f"cost_{k}": float(v[self._index]) for k, v in self._simulation._costs().items()}
         return {**kinds, "cost_sum": max([0.0, *kinds.values()])}
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        raise AttributeError(f"task has no {name!r}; it has {sorted(self._simulation.world.rows)}")
-
     def _objects(self, kind: str) -> Objects:
         world = self._simulation.world
         rows, of = world.rows[kind], world.kinds[kind]
@@ -283,6 +284,7 @@ class TaskView(Part):
             "color": np.array(of.colour),
             **({"density": of.density} if of.physics in ("free", "driven") else {}),
             **({"radius": of.size[0]} if kind == "circle" else {}),
+            **dict.fromkeys(_WEIGHTS.get(kind, ()), 1.0),
         }
         made = Buttons if kind == "buttons" else Objects
         where = {"_simulation": self._simulation, "_index": self._index}
@@ -308,6 +310,16 @@ class TaskView(Part):
         return of_one(parts.by_name(task.parts, task.numbers()), self._index)
 
 
+_WEIGHTS = {
+    "goal": ("reward_goal", "reward_distance"),
+    "buttons": ("reward_goal", "reward_distance", "cost"),
+    "push_box": ("reward_box_dist", "reward_box_goal"),
+    "hazards": ("cost",),
+    "pillars": ("cost",),
+    "vases": ("contact_cost", "velocity_cost"),
+    "gremlins": ("contact_cost", "dist_cost"),
+}
+"""Of rewards and costs: all are 1"""
 _SENSORS = ("accelerometer", "velocimeter", "gyro", "magnetometer")
 
 

@@ -72,14 +72,16 @@ def make(
     if not is_own(own):
         made = _registered(own, max_episode_steps, parameters)
     else:
-        made = SafetyGymnasiumEnv(
-            gym.make(
-                f"circle2d_mj/{own}",
-                max_episode_steps=max_episode_steps,
-                disable_env_checker=disable_env_checker,
-                **with_pictures(own, parameters),
-            )
+        five = gym.make(
+            f"circle2d_mj/{own}",
+            max_episode_steps=max_episode_steps,
+            disable_env_checker=disable_env_checker,
+            **with_pictures(own, parameters),
         )
+        inner = five.unwrapped.spec
+        assert inner is not None
+        inner.id, inner.namespace = own, None  # what code logs, and names folders by
+        made = SafetyGymnasiumEnv(five)
     return SafeAutoResetWrapper(made) if autoreset else made
 
 

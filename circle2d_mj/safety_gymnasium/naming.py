@@ -65,6 +65,7 @@ def take_the_name() -> None:
     for name, module in MODULES.items():
         parent, _, leaf = f"{NAME}.{name}".rpartition(".")
         sys.modules[f"{NAME}.{name}"] = module
+        module.__path__ = []  # for Python a package: it asks `_Absent` for what is not in there
         setattr(sys.modules[parent], leaf, module)
     if _Absent not in sys.meta_path:
         sys.meta_path.insert(0, _Absent)

@@ -72,7 +72,12 @@ class SafetyGymnasium2Gymnasium(_Wrapper):
 
 
 class _FiveValueVectorEnv(VectorWrapper):
-    """The same of a vector environment."""
+    """The same of a vector environment; what it lacks, the environment inside has."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
 
     def step(self, actions: Any) -> Any:
         """Return observations, rewards, terminated, truncated, infos."""

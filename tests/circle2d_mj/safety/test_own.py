@@ -153,6 +153,7 @@ hazards.is_constrained, vases.pos, vases.num, vases.size, vases.density, goal_ac
 last_dist_goal, lidar_conf.num_bins, lidar_conf.max_dist, lidar_conf.exp_gain, lidar_conf.type
 lidar_conf.alias, compass_conf.shape, reward_conf.reward_clip, cost_conf.constrain_indicator
 mechanism_conf.randomize_layout, mechanism_conf.continue_goal, sim_conf.frameskip_binom_n
+goal.reward_goal, goal.reward_distance, hazards.cost, vases.contact_cost, vases.velocity_cost
 placements_conf.placements, placements_conf.extents, placements_conf.margin, floor_conf.size
 obs_info.obs_space_dict, observation_space, action_space, observation_flatten, observe_vision, debug
 action_noise, obs(), calculate_cost(), world_info.layout, world.model, world.data

@@ -36,6 +36,7 @@ def test_six_values_are_the_environments(name):
         assert got[2] == got[5]["cost_sum"] == expected[4]["cost"]
         assert got[5].get("goal_met", False) in (True, bool(expected[4].get("goal_met", 0)))
     assert env.env.spec.max_episode_steps == env.spec.max_episode_steps == 1000
+    assert env.spec.id == env.unwrapped.spec.id == name
     assert set(safety_gymnasium.registry) == {*NAMES.values(), *OLD, *VISION}
 
 
@@ -217,6 +218,7 @@ def test_conversion_of_vector_environments():
     made = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3, max_episode_steps=2)
     five = gym.wrappers.vector.RecordEpisodeStatistics(wrappers.SafetyGymnasium2Gymnasium(made))
     equal(six.reset(seed=0, options={"unknown": 1})[0], five.reset(seed=0)[0])
+    assert [task.agent_name for task in five.env.get_attr("task")] == ["Car"] * 3
     for _ in range(3):
         expected, got = six.step(np.ones((3, 2))), five.step(np.ones((3, 2)))
         equal(got[0], expected[0])
@@ -344,10 +346,16 @@ def test_install_reaches_processes_that_are_started(tmp_path):
 
 
 def test_modules_that_are_not_here_say_what_takes_their_place(tmp_path):
-    code = "from safety_gymnasium.bases.base_task import BaseTask"
-    run = (sys.executable, "-m", "circle2d_mj.safety_gymnasium", "python", "-c", code)
-    done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path)
-    assert "ModuleNotFoundError: safety_gymnasium.bases is not here: " in done.stderr
+    """Also where their parent is one file here."""
+    lines = []
+    for module in ("bases", "tasks.safe_navigation", "utils.task_utils"):
+        lines += ["try:", f"    import safety_gymnasium.{module}", "except ImportError as error:"]
+        lines += ["    print(error)"]
+    run = (sys.executable, "-m", "circle2d_mj.safety_gymnasium", "python", "-c", "\n".join(lines))
+    told = outside(*run, cwd=tmp_path).splitlines()
+    assert len(told) == 3
+    for line in told:
+        assert line.startswith("safety_gymnasium.") and "is made by circle2d_mj.safety.own" in line
     with pytest.raises(NotImplementedError, match="multi-agent"):
         safety_gymnasium.make_ma("Ant", "2x4")
 
