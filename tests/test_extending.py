@@ -16,6 +16,7 @@ import pytest
 import torch
 import toys
 from fault_common import forked
+from small_runs import write_evaluated
 
 import agents
 from agents.algorithms import _algorithms
@@ -161,6 +162,16 @@ def test_two_limits_on_two_costs(folder):
     page = (folder / "runs/index.html").read_text()
     (replayed,) = re.findall(r'"algorithm": ?"(.*?)"', page)
     assert replayed.startswith("PPO-Two") and "cost_2)" not in replayed
+
+
+def test_a_study_of_the_users_own(tmp_path):
+    """The page's, on runs of CPO in the place of the page's algorithm."""
+    write_evaluated(tmp_path / "runs", "cpo", costs=(1, 2))
+    (code,) = re.findall(r"```python\n([^`]*Study\n.*?)```", PAGE, re.DOTALL)
+    exec(code.replace("sac-fixed", "cpo").replace("runs/fixed", str(tmp_path / "runs")), {})
+    words = (tmp_path / "runs/report.md").read_text()
+    (row,) = re.findall(r"\| CPO, book \(5 seeds\) .*", words)
+    assert "-8.10" in row and "4.90" in row and "paper" not in words
 
 
 @pytest.mark.slow

@@ -30,9 +30,10 @@ SOURCES = {
     "circle2d": ["runs.zip", "bootstrap.zip"],
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
-    "library": ["runs.zip", "sac-lb.zip", "residual.zip", "sac-lag.zip"],
-    "safety": sorted(path.name for path in (RESULTS / "safety").glob("*.zip")),
-    "solve": sorted(path.name for path in (RESULTS / "solve").glob("*.zip")),
+    **{
+        name: sorted(path.name for path in (RESULTS / name).glob("*.zip"))
+        for name in ("library", "safety", "solve")
+    },
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
     "baselines": [

@@ -131,8 +131,8 @@ def train(args: Sequence[str]) -> int:
         "task_parameters": literals(options.task_parameters),
         "steps": steps if options.steps is None else options.steps,
     }
-    what = (own, options.task, [options.hyperparameters], named, options.backend, given)
-    (config,) = api.configs_of(*what)
+    chosen = [options.hyperparameters]
+    (config,) = api.configs_of(own, options.task, chosen, named, options.backend, given)
     with AfterEpoch(options.imports) as after_epoch:
         runs = api.train_config(config, out, after_epoch, progress=True)
     return _finish(runs, after_epoch)
@@ -210,8 +210,9 @@ def resume(args: Sequence[str]) -> int:
     if options.steps is not None:
         done = [folder for folder in done if TrainConfig.read(folder).steps == options.steps]
     with AfterEpoch(options.imports) as after_epoch:
-        how = {"steps": options.steps, "progress": True, "on_epoch": after_epoch}
-        runs = api.resume(*options.folders, **how)
+        runs = api.resume(
+            *options.folders, steps=options.steps, progress=True, on_epoch=after_epoch
+        )
     for folder in done:
         steps = TrainConfig.read(folder).steps
         say(f"{folder}: was done already, all {steps} steps; --steps N, of a greater N, goes on")
@@ -318,8 +319,10 @@ def grid(args: Sequence[str]) -> int:
     check_folder(options.out)
     settings = api.settings_of(vars(options)) | hyperparameters
     settings["task_parameters"] = literals(options.task_parameters)
-    what = (options.algorithms, options.task, options.out, options.preset, options.backend)
-    return _run(options, api.grid_configs(*what, settings))
+    configs = api.grid_configs(
+        options.algorithms, options.task, options.out, options.preset, options.backend, settings
+    )
+    return _run(options, configs)
 
 
 @dataclass(frozen=True)
@@ -391,9 +394,8 @@ def _run(
         part, count = _shard(options.shard)  # equally cut in all of them
         configs = grid_of.shard(grid_of.split(configs, count * (options.workers or 1)), part, count)
     modules = [*dict.fromkeys([*options.imports, *api.modules_of(configs.values())])]
-    how = (options.engine, options.workers, modules, options.address)
     # The engine first: one that refuses leaves no folder behind.
-    with launcher(*how) as trainings:
+    with launcher(options.engine, options.workers, modules, options.address) as trainings:
         if options.shard is None:
             configs = grid_of.split(configs, trainings.count)
         grid_of.prepare(configs)
@@ -431,8 +433,9 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         check_task(task, parameters)
     seeds, steps = options.seeds, options.steps
     if options.benchmark:
-        what = (tasks, names, seeds, steps, options.quick, parameters)
-        configs = papers.benchmark(options.out, *what)
+        configs = papers.benchmark(
+            options.out, tasks, names, seeds, steps, options.quick, parameters
+        )
     else:
         if seeds is None:
             seeds = papers.QUICK_SEEDS if options.quick else papers.SEEDS

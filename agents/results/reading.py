@@ -601,8 +601,18 @@ def _read_run(training: Training, run: RunId, cost: str, window: int | None) -> 
             raise UserError(derive.why_failed(arrays, run))
         ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
         episodes = len(evaluation["deterministic"]["returns"])
-        told = (ends, records, evaluation, ways, window, training, run.prefix)
-        found = RunResult(run.seed, {}, episodes, *told)
+        found = RunResult(
+            seed=run.seed,
+            measures={},
+            episodes=episodes,
+            ends=ends,
+            records=records,
+            evaluation=evaluation,
+            ways=ways,
+            window=window,
+            training=training,
+            prefix=run.prefix,
+        )
         found = replace(found, measures=measured(found, f"{training.title}, {run}"))
         if ends and sum(ends.values()) != episodes:
             raise ValueError(f"{episodes} evaluated episodes end in {sum(ends.values())} places")
