@@ -151,6 +151,14 @@ def difference(usual: Levels, other: Levels, measure: str) -> tuple[float, float
     return sides[1].mean() - sides[0].mean(), p
 
 
+def gap_cells(sides: Mapping[Key, tuple[Levels, Levels]]) -> dict[Key, list[str]]:
+    """By key, how much higher the means over levels of `SAFETY_MEASURES` are on the second side;
+    in brackets p values as in `difference`, corrected for all keys and measures (Holm)."""
+    found = {(k, m): difference(*pair, m) for k, pair in sides.items() for m in SAFETY_MEASURES}
+    p = holm({key: value for key, (_, value) in found.items()})
+    return {k: [f"{_gap(found[k, m][0])} ({_p(p[k, m])})" for m in SAFETY_MEASURES] for k in sides}
+
+
 def means(found: pd.DataFrame, digits: int = 2) -> list[str]:
     """EMCC by third and cost rate, to some digits, J_R and J_C."""
     mean = found[[*SAFETY_MEASURES, "J_R", "J_C"]].mean()
@@ -237,24 +245,18 @@ def physics_against_kinematic() -> list[str]:
     physics, and the runs that solve their level and those within the limit, without physics in
     brackets. p values: permutation tests, runs exchanged within a level, corrected for all of the
     table (Holm)."""
-    lines, kinematic, gaps, tests, counts = report("physics"), report("circle2d"), {}, {}, {}
+    lines, kinematic, sides, counts = report("physics"), report("circle2d"), {}, {}
     level_0, *others = PHYSICS.items()
     levels = {"1 to 3": others, "0": [level_0]}
     for words, name in itertools.product(levels, ALGORITHMS):
-        key = name, words
         having = [runs(lines, task, name) for task, _ in levels[words]]
         without = [runs(kinematic, task, name) for _, task in levels[words]]
-        for m in SAFETY_MEASURES:
-            gaps[key, m], tests[key, m] = difference(without, having, m)
-        counts[key] = [
+        sides[name, words] = without, having
+        counts[name, words] = [
             f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
             for chosen in (solved, within)
         ]
-    p = holm(tests)
-    return [
-        _row(*key, *(f"{_gap(gaps[key, m])} ({_p(p[key, m])})" for m in SAFETY_MEASURES), *told)
-        for key, told in counts.items()
-    ]
+    return [_row(*key, *cells, *counts[key]) for key, cells in gap_cells(sides).items()]
 
 
 def forces() -> list[str]:
@@ -461,7 +463,7 @@ def parts() -> list[str]:
     """A row for each part of SAC-LB-Streak: runs that solve their level without it, and by how much
     means are higher without it. p values: of counts Fisher's exact test, of means
     the permutation test over levels, either corrected for all of the table (Holm)."""
-    lines, counts, gaps, of_counts, of_gaps = report("solve"), {}, {}, {}, {}
+    lines, counts, sides_of, of_counts = report("solve"), {}, {}, {}
     for part in PARTS:
         levels = [task for task in LEVELS if len(_part(lines, task, f"-{part}"))]
         sides = [[_part(lines, task, end) for task in levels] for end in (f"-{part}", "")]
@@ -469,15 +471,10 @@ def parts() -> list[str]:
         counts[part] = count(good[0])
         table = [[int(chosen.sum()), int((~chosen).sum())] for chosen in good]
         of_counts[part] = float(scipy.stats.fisher_exact(table).pvalue)
-        for m in SAFETY_MEASURES:
-            gaps[part, m], of_gaps[part, m] = difference(*sides[::-1], m)
-    p, of_counts = holm(of_gaps), holm(of_counts)
+        sides_of[part] = sides[1], sides[0]
+    cells, p = gap_cells(sides_of), holm(of_counts)
     return [
-        _row(
-            title,
-            f"{counts[part]} ({_p(of_counts[part])})",
-            *(f"{_gap(gaps[part, m])} ({_p(p[part, m])})" for m in SAFETY_MEASURES),
-        )
+        _row(title, f"{counts[part]} ({_p(p[part])})", *cells[part])
         for part, title in PARTS.items()
     ]
 
