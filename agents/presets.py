@@ -78,6 +78,8 @@ class Recipe(NamedTuple):
 # ones (0.02, 0.001, 0.01) have a higher return at a cost of 36.
 _GOAL = {"normalize_observations": True, "episodes": 20, "cost_limit": 22.0}
 _GOAL |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
+# Its return is dense: half as many episodes are enough.
+_CIRCLE = _GOAL | {"episodes": 10}
 # The lower gains of that trial, with which the return grew faster: the car's cost came down by
 # 3 000 000 steps.
 _CAR_GOAL = _GOAL | {"pid_kp": 0.02, "pid_ki": 0.001}
@@ -87,9 +89,15 @@ _CAR_GOAL = _GOAL | {"pid_kp": 0.02, "pid_ki": 0.001}
 _CHEETAH = {"normalize_observations": True, "episodes": 10, "cost_limit": 20.0}
 _CHEETAH |= {"initial_log_std": -1.0, "kl_stop": 0.02}
 _CHEETAH |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
-ZOO = {
+# The paper's values for the algorithm, which was made on these tasks.
+_CIRCLE2D = {
+    task: Recipe("sac-lb-streak", 1_000_000, {"cost_limit": 5.0, "input_scale": LENGTHS[task]})
+    for task in ("Circle2D-1-v0", "Circle2D-3-v0")
+}
+ZOO = _CIRCLE2D | {
     "circle2d_mj/SafetyCarGoal1-v0": Recipe("trpo-pid", 4_500_000, _CAR_GOAL),
     "circle2d_mj/SafetyHalfCheetahVelocity-v1": Recipe("cppo-pid", 5_000_000, _CHEETAH),
+    "circle2d_mj/SafetyPointCircle1-v0": Recipe("trpo-pid", 3_000_000, _CIRCLE),
     "circle2d_mj/SafetyPointGoal1-v0": Recipe("trpo-pid", 10_000_000, _GOAL),
 }
 """The recipe of each task of the zoo, whose results `agents.zoo()` tells."""
@@ -115,6 +123,11 @@ def registered_id(task: str) -> str:
 def is_circle2d(task: str) -> bool:
     """Whether a task is one of Circle2D, of either mode."""
     return registered_id(task) in CIRCLE2D
+
+
+def limit_of(task: str) -> float:
+    """The cost limit of an episode that the paper's values set on a task."""
+    return preset("trpo-lag", task).cost_limit
 
 
 def recipe(task: str) -> Recipe:

@@ -145,11 +145,12 @@ def zoo(args: Sequence[str]) -> int:
             f"{row['task']}, {row['algorithm']}, {row['steps']:,} steps, mean of {row['seeds']}",
             [Number(row[name], digits) for name, digits in numbers.items()],
         )
-        for row in rows.to_dict("records")
+        for row in rows.astype(object).where(rows.notna(), None).to_dict("records")
     ]
     words = (
-        "J_R, J_C: undiscounted, deterministic policy, 100 episodes of each seed; published: the "
-        "highest return within the limit in OmniSafe's benchmark, 10 000 000 steps"
+        "J_R, J_C: undiscounted, deterministic policy, 100 episodes a seed; limit of J_C: 25, "
+        "5 on Circle2D; published: the highest return within the limit in OmniSafe's benchmark, "
+        "10 000 000 steps"
     )
     show([Table(words, ["agent", *(n.replace("_J", " J") for n in numbers)], shown)], options.width)
     return 0

@@ -13,6 +13,7 @@ from PIL import Image
 
 import agents
 import circle2d_mj
+from agents.presets import is_circle2d
 from agents.training.policy import load_policy
 
 SIZE, PICTURES, HOLD = 240, 48, 8
@@ -50,5 +51,6 @@ def write(name: str, folder: Path) -> None:
 
 if __name__ == "__main__":
     gym.register_envs(circle2d_mj)
-    for task in {*task_pages.FILMED.values(), *agents.zoo().task}:
+    of_zoo = [task for task in agents.zoo().task if not is_circle2d(task)]
+    for task in {*task_pages.FILMED.values(), *of_zoo}:
         write(f"circle2d_mj/{task}", Path(__file__).parents[1] / "films")

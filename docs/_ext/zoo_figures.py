@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from agents.presets import limit_of
 from agents.reporting.figures import drawing
 
 FOLDER = Path(__file__).parents[2] / "results/zoo"
-LIMIT, COLUMNS = 25.0, 4
+COLUMNS = 4
 OURS, PUBLISHED = "#0072B2", "#D55E00"
 DASHED = {"color": PUBLISHED, "linewidth": 1.0, "linestyle": "--"}
 
@@ -57,10 +58,11 @@ def draw_curves(rows: pd.DataFrame, curves: pd.DataFrame) -> None:
                 upper.axhline(row.published_J_R, **DASHED, label="best published within the limit")
             upper.set_title(short(row.task), fontsize=8)
             upper.tick_params(labelbottom=False)
-            lower.axhline(LIMIT, color="#666666", linewidth=1.0, linestyle=":", label="cost limit")
-            lower.set_ylim(0, max(60.0, 1.5 * own.cost_mean[len(own) // 5 :].max()))
+            limit = limit_of(row.task)
+            lower.axhline(limit, color="#666666", linewidth=1.0, linestyle=":", label="cost limit")
+            lower.set_ylim(0, max(2.4 * limit, 1.5 * own.cost_mean[len(own) // 5 :].max()))
             lower.set_xlabel("environment steps")
-        parts = [axes[panel, 0].get_legend_handles_labels() for panel in (0, 1)]
+        parts = [axis.get_legend_handles_labels() for axis in axes.flat]
         handles = {label: handle for part in parts for handle, label in zip(*part, strict=True)}
         figure.legend(handles.values(), handles, ncols=3, loc="outside lower center", frameon=False)
         figure.savefig(FOLDER / "curves.png", dpi=160)

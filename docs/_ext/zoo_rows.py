@@ -1,5 +1,5 @@
 """Put trained runs of the zoo into results/zoo (zoo.csv, curves.csv) and their policy into the
-package.
+package, and print rows for the page's table.
 
 python docs/_ext/zoo_rows.py FOLDER ...
 
@@ -12,12 +12,17 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 import agents
+from agents.algorithms import title
+from agents.presets import limit_of
+from agents.results.statistics import mean_of
 from agents.training.config import RunId, TrainConfig
 from agents.training.files import write_arrays
 from agents.training.policy import read_policy_arrays
@@ -25,7 +30,7 @@ from agents.training.policy import read_policy_arrays
 ROOT = Path(__file__).parents[2]
 TABLE, POLICIES = ROOT / "results/zoo/zoo.csv", ROOT / "agents/policies/zoo"
 CURVES = ROOT / "results/zoo/curves.csv"
-LIMIT, WINDOW, POINTS = 25.0, 10, 50
+WINDOW, POINTS = 10, 50
 # Of OmniSafe's benchmark (its repository, benchmarks/on-policy), after 10 000 000 steps: J_R, J_C
 # and the algorithm of the highest return within the limit, without those that end episodes at it.
 PUBLISHED = {
@@ -53,7 +58,7 @@ def evaluated(folder: Path) -> pd.DataFrame:
     return last.groupby(["policy", "seed"])[["return", "cost"]].mean()
 
 
-def row(folder: Path) -> dict[str, object]:
+def row(folder: Path) -> dict[str, Any]:
     """The row of a folder of finished runs on one task."""
     runs = agents.load_runs(folder)
     config = runs.config
@@ -82,6 +87,31 @@ def row(folder: Path) -> dict[str, object]:
     }
 
 
+def line(folder: Path, own: Mapping[str, Any]) -> str:
+    """A row of the page's table, and the t intervals over seeds beside it."""
+    config = TrainConfig.read(folder)
+    means = evaluated(folder).loc["deterministic"]
+    limit = limit_of(config.tasks[0])
+    within = f"{(means.cost <= limit).sum()} of {len(means)}"
+    plain, noisy = (f"{own['J_R' + s]:,} / {own['J_C' + s]}" for s in ("", "_stochastic"))
+    emcc = f"{own['EMCC_0.33']:.2f}, {own['EMCC_0.99']:.2f}"
+    published = "—"
+    if own["published_algorithm"]:
+        published = (
+            f"{own['published_J_R']} / {own['published_J_C']} ({own['published_algorithm']})"
+        )
+    cells = [
+        own["task"],
+        f"{title(config.algorithm)}, {own['steps']:,}",
+        plain,
+        noisy,
+        within,
+        emcc,
+    ]
+    intervals = {name: mean_of(list(means[name])) for name in ("return", "cost")}
+    return f"| {' | '.join([*cells, published])} |\n{intervals}"
+
+
 def curves(folder: Path) -> pd.DataFrame:
     """Return and cost of training's episodes: `POINTS` rows, the mean of the runs' means and the
     lowest and highest of these."""
@@ -99,8 +129,9 @@ def curves(folder: Path) -> pd.DataFrame:
 
 def chosen_seed(folder: Path) -> int:
     """The seed whose policy comes with the package."""
+    (task,) = TrainConfig.read(folder).tasks
     means = evaluated(folder).loc["deterministic"]
-    within = means[means.cost <= LIMIT]["return"]
+    within = means[means.cost <= limit_of(task)]["return"]
     return int((within - within.median()).abs().idxmin())
 
 
@@ -128,7 +159,10 @@ def write_rows(path: Path, rows: pd.DataFrame) -> None:
 
 def main(folders: list[Path]) -> None:
     """Replace the rows, curves and policies of the folders' tasks."""
-    write_rows(TABLE, pd.DataFrame([row(folder) for folder in folders]))
+    rows = [row(folder) for folder in folders]
+    for folder, own in zip(folders, rows, strict=True):
+        print(line(folder, own))
+    write_rows(TABLE, pd.DataFrame(rows))
     write_rows(CURVES, pd.concat([curves(folder) for folder in folders]))
     for folder in folders:
         write_policy(folder, chosen_seed(folder))
