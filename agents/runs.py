@@ -18,7 +18,7 @@ from emcc import EpisodeRecords
 if TYPE_CHECKING:
     import pandas
 
-    from agents.results.reading import Group, Training
+    from agents.results.groups import Group, Training
 
 Rows = Literal["measures", "episodes", "updates", "evaluations"]
 
@@ -146,7 +146,8 @@ class Runs:
     @property
     def _trainings(self) -> list[Training]:
         """Each folder with what it holds by now."""
-        from agents.results.reading import Training, results_of
+        from agents.results.groups import Training
+        from agents.results.reading import results_of
 
         trainings = []
         for (folder, name), config in zip(self._names.items(), self.configs, strict=True):

@@ -38,7 +38,7 @@ from agents.paper.evidence import (
 from agents.paper.grid import PAPER_ALGORITHMS
 from agents.presets import PAPER_STEPS, preset
 from agents.reporting.page import Otherwise, Statement
-from agents.results.reading import Group, RunResult
+from agents.results.groups import Group, RunResult
 from agents.results.statistics import MARGIN, equivalence_of, over_windows, p_of
 from emcc.statistics import COST
 

@@ -14,9 +14,9 @@ from agents.algorithms import title
 from agents.paper.grid import PAPER_ALGORITHMS, PAPER_SEEDS, ablations
 from agents.presets import PAPER_STEPS, registered_id
 from agents.reporting.table import Number, number, p_number
+from agents.results.groups import Group, RunResult, one_place
 from agents.results.measures import measure
 from agents.results.names import hyperparameter_changes
-from agents.results.reading import Group, RunResult, one_place
 from agents.results.statistics import (
     LEVEL,
     Values,

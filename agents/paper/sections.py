@@ -25,9 +25,9 @@ from agents.reporting.tables import (
     measures_table,
     printed_row,
 )
+from agents.results.groups import Group, RunResult
 from agents.results.measures import measure, measures
 from agents.results.names import by_task, hyperparameter_changes, unusual_steps
-from agents.results.reading import Group, RunResult
 from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, pairs_over_tasks
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc.panels import emcc_of_thirds

@@ -24,9 +24,10 @@ from agents.reporting.tables import (
     run_rows,
     unequal_lengths,
 )
+from agents.results.groups import Group, name_of_all
 from agents.results.measures import measures
 from agents.results.names import changes, in_order, with_names
-from agents.results.reading import Group, name_of_all, read_groups
+from agents.results.reading import read_groups
 from agents.results.statistics import (
     ACROSS_WORDS,
     LEVEL,

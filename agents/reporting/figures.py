@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
+from agents.results.groups import Group
 from agents.results.measures import Measure, measures
 from agents.results.names import by_task, in_order
-from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
     by_third,

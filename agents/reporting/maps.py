@@ -21,9 +21,10 @@ from PIL import Image
 
 from agents.errors import UserError
 from agents.reporting.figures import emcc_along
+from agents.results.groups import Episode, Group, Highlights, RunResult
 from agents.results.measures import measure
 from agents.results.names import in_order
-from agents.results.reading import Episode, Group, Highlights, RunResult, left_out
+from agents.results.reading import left_out
 from agents.training.derive import BITS, DRAWN_POLICIES, STATES, WINDOWS, Drawn, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN

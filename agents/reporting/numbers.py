@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from agents.algorithms import title
 from agents.reporting.tables import ends_words
 from agents.results.frame import COLUMNS, rows
+from agents.results.groups import Group
 from agents.results.measures import measures
-from agents.results.reading import Group
 from agents.results.statistics import Difference, group_mean, known, places, within_limit
 from emcc import Interval, iqm
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, corrected, number, p_head, p_number
 from agents.reporting.tables import difference_rows
+from agents.results.groups import Group, RunResult
 from agents.results.names import by_task, changes, in_order
-from agents.results.reading import Group, RunResult
 from agents.results.statistics import (
     ACROSS_WORDS,
     LEVEL,

@@ -17,8 +17,9 @@ from PIL import Image, ImageDraw, ImageOps
 from agents.errors import OWN_ERRORS, TaskFailure, UserError
 from agents.lockstep.rollout import Rollout
 from agents.reporting.maps import Ground, HeatColumn, heat_figure, png
+from agents.results.groups import Episode
 from agents.results.names import title_of
-from agents.results.reading import Episode, results_of, run_records
+from agents.results.reading import results_of, run_records
 from agents.training.config import RunId, TrainConfig
 from agents.training.derive import Steps, count_visits, told_steps
 from agents.training.environments import make_envs, registered, view_of

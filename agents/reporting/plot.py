@@ -20,8 +20,9 @@ from agents.reporting.figures import (
     running_emcc,
     styles,
 )
+from agents.results.groups import Group
 from agents.results.names import by_task, with_names
-from agents.results.reading import Group, LeftOut, read_groups
+from agents.results.reading import LeftOut, read_groups
 from agents.results.statistics import INTERVALS, common_limit
 from agents.training.files import check_file, write_whole
 from emcc.parts import ALPHA

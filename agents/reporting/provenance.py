@@ -8,8 +8,8 @@ from importlib.metadata import version
 from typing import Any
 
 from agents.algorithms import title
+from agents.results.groups import Group
 from agents.results.names import hyperparameter_changes, in_order
-from agents.results.reading import Group
 from agents.training.callbacks import duration
 from agents.training.callbacks import sessions as sessions_of
 from agents.training.config import TrainConfig, commit

@@ -23,8 +23,9 @@ from agents.reporting.study import Study
 from agents.reporting.table import LATEX_COLUMNS, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.archive import write_archive
+from agents.results.groups import Group, name_of_all
 from agents.results.names import with_names
-from agents.results.reading import Group, LeftOut, left_out, name_of_all, read_groups
+from agents.results.reading import LeftOut, left_out, read_groups
 from agents.results.statistics import alike
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 

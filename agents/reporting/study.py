@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from agents.reporting.page import Section
 from agents.reporting.table import Table
-from agents.results.reading import Group
+from agents.results.groups import Group
 
 
 class Study:

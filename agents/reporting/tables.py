@@ -12,13 +12,13 @@ import numpy as np
 from agents.algorithms import ALGORITHMS, title
 from agents.presets import preset
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
+from agents.results.groups import Group, RunResult
 from agents.results.measures import Measure, measure, measures
 from agents.results.names import (
     changes,
     in_order,
     setting,
 )
-from agents.results.reading import Group, RunResult
 from agents.results.recorded import Recorded
 from agents.results.statistics import (
     INTERVALS,

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.results import recorded
-from agents.results.reading import PICTURES, Group, Training, name_of_all
+from agents.results.groups import PICTURES, Group, Training, name_of_all
 from agents.training.config import CONFIG, RESULTS, STATUS, RunId, file_name
 from agents.training.derive import DRAWN_POLICIES, smallest, thousandths
 from agents.training.files import UNREADABLE, whole, write_arrays

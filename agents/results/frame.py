@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
+from agents.results.groups import Group, Training
 from agents.results.measures import measures
 from agents.results.names import with_names
-from agents.results.reading import Group, Training, read_groups, run_records
+from agents.results.reading import read_groups, run_records
 from agents.training import evaluation
 from agents.training.config import POLICIES, RunId
 from agents.training.files import Arrays, numbered

@@ -11,18 +11,16 @@ import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from agents.errors import OWN_ERRORS, OwnCodeError, described
+from agents.results.groups import RunResult
 from emcc import cost_rate, emcc
 from emcc.arrays import as_one
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
-
-if TYPE_CHECKING:
-    from agents.results.reading import RunResult
 
 
 @dataclass(frozen=True)

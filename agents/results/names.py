@@ -12,7 +12,7 @@ from agents.presets import preset, usual_steps
 from agents.training.config import TrainConfig
 
 if TYPE_CHECKING:
-    from agents.results.reading import Group
+    from agents.results.groups import Group
 
 MOST_CHARACTERS = 40
 """Characters of a setting's value, at most, in a name."""

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import emcc
+from agents.results.groups import Group, RunResult
 from agents.results.measures import Measure, measure, measures
-from agents.results.reading import Group, RunResult
 from emcc import Interval, Share
 from emcc.parts import PARTS
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds

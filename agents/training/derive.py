@@ -14,7 +14,7 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `trained/states`, `/positions` and `/unsafe`, a bit each: of the first evaluated episodes of a
   task with a view the states that are drawn, see `Drawn`
 - `replay/drawn`, as `path_digits`, `/unsafe`, a bit for each step, and `/box`: see
-  `results.reading.Highlights`; `/steps`: those that its windows divide
+  `results.groups.Highlights`; `/steps`: those that its windows divide
 
 An archive has a row for each episode instead: `results.archive`.
 

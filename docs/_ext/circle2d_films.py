@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from agents.reporting.pictures import Panel, film
-from agents.results.reading import Episode
+from agents.results.groups import Episode
 
 SIZE = 300
 WAY = ((1.05, 0.6), (0.6, 1.1), (-0.6, 1.15), (-1.25, 0.5), (-1.15, 0.0), (-0.1, 0.0))

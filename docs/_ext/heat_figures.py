@@ -11,7 +11,8 @@ from agents import algorithms
 from agents.paper.grid import PAPER_ALGORITHMS
 from agents.reporting.maps import HeatColumn, heat_figure
 from agents.reporting.pictures import write_picture
-from agents.results.reading import Group, read_groups
+from agents.results.groups import Group
+from agents.results.reading import read_groups
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 

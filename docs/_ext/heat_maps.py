@@ -10,7 +10,8 @@ from pathlib import Path
 from agents.algorithms import title
 from agents.reporting.maps import HeatColumn, heat_figure
 from agents.reporting.pictures import write_picture
-from agents.results.reading import Group, read_groups
+from agents.results.groups import Group
+from agents.results.reading import read_groups
 from agents.training.environments import view_of
 from emcc.parts import PARTS
 

@@ -12,7 +12,7 @@ from agents.paper.evidence import all_of, gather, paper_results
 from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
 from agents.presets import PAPER_STEPS, preset
 from agents.reporting.page import page
-from agents.results.reading import Group, RunResult
+from agents.results.groups import Group, RunResult
 from agents.results.statistics import mixed, over_windows
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords

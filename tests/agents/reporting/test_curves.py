@@ -11,8 +11,8 @@ from by_hand import T_OF_4
 from agents.presets import preset
 from agents.reporting import figures
 from agents.reporting.figures import POINTS, WINDOW, midpoints, thirds_emcc
+from agents.results.groups import Group, RunResult
 from agents.results.measures import measured
-from agents.results.reading import Group, RunResult
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords, emcc
 from emcc.parts import ALPHA

@@ -11,7 +11,7 @@ import agents
 from agents.cli.main import main
 from agents.reporting import pictures
 from agents.reporting.pictures import AGENT, HELD, Panel
-from agents.results.reading import Episode
+from agents.results.groups import Episode
 from agents.training.config import RunId
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView

@@ -25,7 +25,7 @@ from agents.reporting.maps import (
     replay_data,
 )
 from agents.reporting.page import script_json
-from agents.results.reading import RunResult
+from agents.results.groups import RunResult
 from agents.training import derive
 from agents.training.derive import STATES, drawn, shown_states
 from circle2d_mj import Circle2DConfig

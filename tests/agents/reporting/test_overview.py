@@ -20,8 +20,9 @@ from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.overall import TASKS as TOGETHER
 from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
 from agents.results.archive import write_archive
+from agents.results.groups import Group, RunResult
 from agents.results.measures import measured
-from agents.results.reading import Group, RunResult, read_groups
+from agents.results.reading import read_groups
 from agents.results.statistics import ACROSS_WORDS, comparisons
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords

@@ -7,7 +7,7 @@ import pytest
 
 from agents.presets import preset
 from agents.reporting.tables import common_limit, panel_table
-from agents.results.reading import Group, RunResult
+from agents.results.groups import Group, RunResult
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
