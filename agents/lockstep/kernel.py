@@ -30,7 +30,8 @@ Activation = Literal["tanh", "relu", "silu"]
 Backend = Literal["c++", "numpy"]
 Float = NDArray[np.floating]
 SOURCE = Path(__file__).with_name("kernel.cpp")
-FLAGS = ("-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
+FLAGS = ("-std=c++17", "-O2", "-ftree-vectorize", "-march=native", "-fno-math-errno")
+FLAGS += ("-shared", "-fPIC")
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
