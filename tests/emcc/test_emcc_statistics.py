@@ -65,6 +65,15 @@ def test_share_by_hand():
     nobody = statistics.share(0, 10)
     assert (nobody.value, nobody.low) == (0.0, 0.0)
     assert nobody.high == pytest.approx(1 - 0.025**0.1)
+    assert statistics.share(10, 10).high == 1.0
+
+
+def test_shares_are_scipys():
+    for count in range(8):
+        for level in (0.5, 0.95):
+            found = statistics.share(count, 7, level)
+            expected = scipy.stats.binomtest(count, 7).proportion_ci(level, method="exact")
+            assert (found.low, found.high) == pytest.approx(tuple(expected), abs=1e-9)
 
 
 def test_iqm_by_hand():
