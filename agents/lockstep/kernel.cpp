@@ -302,6 +302,16 @@ static float dot(const float *a, const float *b, int64_t size) {
   return whole;
 }
 
+template <typename T> static double dot(const double *a, const T *b, int64_t size) {
+  double sum[8] = {}, whole = 0.0;
+  int64_t i = 0;
+  for (; i + 8 <= size; i += 8)
+    for (int k = 0; k < 8; k++) sum[k] += a[i + k] * b[i + k];
+  for (; i < size; i++) whole += a[i] * b[i];
+  for (double part : sum) whole += part;
+  return whole;
+}
+
 // Turns values y [ROWS], the first rows, into the slopes of half their mean squared error; returns
 // their part of it.
 static float squared(float *y, const int64_t *index, const float *target, float weight,
@@ -386,21 +396,24 @@ struct Curvature {
     for (int64_t i = 0; i < size; i++) to[i] += damping * v[i];
   }
 
-  // x of H x = b by conjugate gradients from 0, until nothing is left of the residual.
+  // x of H x = b by conjugate gradients from 0, until nothing is left of the residual. Its vectors
+  // have double precision: their rounding is magnified up to a hundred times as much as H's.
   void solve(const float *b, int64_t iterations, float *x) {
-    std::vector<float> residual(b, b + size), direction = residual, image(size);
-    float square = dot(b, b, size);
-    const float least = 1e-10f * square;
-    std::fill(x, x + size, 0.0f);
+    std::vector<double> sum(size), residual(b, b + size), direction = residual;
+    std::vector<float> along(size), image(size);
+    double square = dot(residual.data(), residual.data(), size);
+    const double least = 1e-10 * square;
     for (int64_t k = 0; k < iterations && square > least; k++) {
-      product(direction.data(), image.data());
-      const float step = square / dot(direction.data(), image.data(), size), before = square;
-      for (int64_t i = 0; i < size; i++) x[i] += step * direction[i];
+      std::copy(direction.begin(), direction.end(), along.begin());
+      product(along.data(), image.data());
+      const double step = square / dot(direction.data(), image.data(), size), before = square;
+      for (int64_t i = 0; i < size; i++) sum[i] += step * direction[i];
       for (int64_t i = 0; i < size; i++) residual[i] -= step * image[i];
       square = dot(residual.data(), residual.data(), size);
       for (int64_t i = 0; i < size; i++)
         direction[i] = residual[i] + square / before * direction[i];
     }
+    std::copy(sum.begin(), sum.end(), x);
   }
 };
 
