@@ -51,7 +51,7 @@ demo: $(VENV)/trains
 	rm -rf $(DEMO)
 ifneq ($(strip $(DEMO_POLICIES)),)
 	$(BIN)/circle2d render $(DEMO_POLICIES) --names $(DEMO_TITLES) --episodes 1 --size 320 \
-		--out $(DEMO)/trained.gif
+		--frames mujoco --every 8 --out $(DEMO)/trained.gif
 endif
 	$(BIN)/circle2d reproduce --algorithms $(DEMO_ALGORITHMS) --tasks $(DEMO_TASK) \
 		--steps $(DEMO_STEPS) --width 80 --out $(DEMO)

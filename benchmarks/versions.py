@@ -8,7 +8,9 @@ updates and records, after an epoch for warming up, of 1 and of 12 runs; and bes
 Stable-Baselines3, one run. Each measurement has a process of its own; sides take turns, and medians
 over turns are printed. A turn takes about a quarter of an hour with
 --backends c++, half of it the older version's compilation.
-81307c5 is the last version with `torch.compile`, which it uses here.
+81307c5 is the last version with `torch.compile`, which it uses here. A single measurement, such as
+one of OmniSafe where it is installed: --one PPOLag SafetyPointGoal1-v0, beside --one ppo-lag
+SafetyPointGoal1-v0 1 c++.
 """
 
 import argparse
@@ -31,6 +33,7 @@ EPOCHS = {GOAL: 1, CIRCLE: 10}
 """Timed epochs of an on-policy algorithm; the SAC family's are of one episode, and four times as
 many of a single run, each with a gradient step for every step."""
 STABLE_BASELINES3 = {"ppo-lag": "PPO", "sac-lag": "SAC"}
+OMNISAFE = ("PPOLag", "CPO", "TRPOLag")
 EPISODE = 50
 
 
@@ -88,6 +91,36 @@ def theirs(name, task):
     return steps / (time.process_time() - start)
 
 
+def by_omnisafe(name, task):
+    """Those of one run of OmniSafe on the task here; epochs of 10,000 steps, the first to warm up.
+    What only it has is off: see `omnisafe_run.py`."""
+    from circle2d_mj import safety_gymnasium
+
+    safety_gymnasium.install()
+    import omnisafe
+    from omnisafe.common.logger import Logger
+
+    ends, dump = [], Logger.dump_tabular
+
+    def timed(self):
+        dump(self)
+        ends.append(time.process_time())
+
+    Logger.dump_tabular = timed
+    epoch, epochs = 10_000, 3
+    learning = {"steps_per_epoch": epoch, "update_iters": 10, "batch_size": 64}
+    learning |= {"obs_normalize": False, "kl_early_stop": False, "use_critic_norm": False}
+    with tempfile.TemporaryDirectory() as folder:
+        config = {
+            "train_cfgs": {"total_steps": epochs * epoch, "torch_threads": 1},
+            "algo_cfgs": learning,
+            "model_cfgs": {"linear_lr_decay": False},
+            "logger_cfgs": {"log_dir": folder, "use_tensorboard": False},
+        }
+        omnisafe.Agent(name, task, custom_cfgs=config).learn()
+    return (epochs - 1) * epoch / (ends[-1] - ends[0])
+
+
 def speed(*what, checkout=None):
     """A measurement in a process of its own, by the package of a checkout or this one's."""
     own = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -137,7 +170,10 @@ def main():
     options = parser.parse_args()
     if options.one:
         name, task, *how = options.one
-        print(ours(name, task, int(how[0]), how[1]) if how else theirs(name, task))
+        if how:
+            print(ours(name, task, int(how[0]), how[1]))
+        else:
+            print((by_omnisafe if name in OMNISAFE else theirs)(name, task))
         return
     if not options.before:
         parser.error("--before must be a checkout of the older version")

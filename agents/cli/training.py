@@ -14,9 +14,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
+import emcc
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.checks import Settings
@@ -50,6 +52,7 @@ from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.files import archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
 from circle2d_mj.circle2d.config import LEVELS
+from emcc.statistics import FEWEST_RUNS
 
 
 @dataclass(frozen=True)
@@ -219,6 +222,19 @@ def resume(args: Sequence[str]) -> int:
     return _finish(runs, after_epoch)
 
 
+def _means_over(episodes: int) -> str:
+    intervals = "95 % t intervals" if episodes >= FEWEST_RUNS else "ranges"
+    return f"means over {episodes} episodes, with {intervals}"
+
+
+def _mean(values: NDArray[np.float64]) -> str:
+    """The mean over episodes with its interval, of few episodes with their range."""
+    mean = emcc.mean_interval(values.ravel())
+    if mean.kind == "t":
+        return f"{mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
+    return f"{mean.value:.2f}" + f" ({mean.low:.2f} to {mean.high:.2f})" * (values.size > 1)
+
+
 @dataclass(frozen=True)
 class EvaluateOptions:
     """Play episodes with the policies of a folder's newest checkpoint and print their means. Once
@@ -241,11 +257,11 @@ def evaluate(args: Sequence[str]) -> int:
         config = replace(config, evaluation_episodes=options.episodes)
     episodes = config.evaluation_episodes
     if folder != options.folder:  # a policy of the package: nothing is written
-        print(f"{options.folder}: means over {episodes} episodes")
+        print(f"{options.folder}: {_means_over(episodes)}")
         for name in evaluation.POLICIES:
             with working(f"playing {episodes} episodes"):
                 found = policy.evaluate(folder, None, episodes, name == "deterministic")
-            words = f"J_R {found.mean_return:.2f}, J_C {found.mean_cost:.2f}"
+            words = f"J_R {_mean(found.returns)}, J_C {_mean(found.costs)}"
             print(f"{config.runs[0]}, {name} policy: {words}")
         return 0
     folder = folder.absolute()  # a task may change the current one
@@ -262,14 +278,14 @@ def evaluate(args: Sequence[str]) -> int:
     taken = trained.steps[going] if going.any() else trained.steps
     asked = "" if trained.done else f" of {config.steps}"
     done = f"after {taken.min()}{asked} steps"
-    print(f"{options.folder}, {done}: means over {episodes} episodes")
+    print(f"{options.folder}, {done}: {_means_over(episodes)}")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
             words = trained.failures[k] or result.why(k)
             if not result.void[k]:
-                words = f"J_R {np.mean(result.returns[k]):.2f}"
-                costs = zip(config.costs, result.costs[k].mean(axis=0), strict=True)
-                words += "".join(f", J_C {v:.2f}" + f" ({c})" * (c != "cost") for c, v in costs)
+                words = f"J_R {_mean(result.returns[k])}"
+                for cost, of_episodes in zip(config.costs, result.costs[k].T, strict=True):
+                    words += f", J_C {_mean(of_episodes)}" + f" ({cost})" * (cost != "cost")
             print(f"{run}, {name} policy: {words}")
     return (
         name_failures([(folder, config)])

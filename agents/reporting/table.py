@@ -16,10 +16,11 @@ from emcc.table import LATEX, tabular
 MISSING = "\N{EN DASH}"
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
-FITTED = r"""\noindent\resizebox{{\ifdim\width>\linewidth\linewidth\else\width\fi}}{{!}}{{%
-{}}}
+FITTED = r"""\par\noindent\resizebox{{\ifdim\width>\linewidth\linewidth\else\width\fi}}{{!}}{{%
+{}}}\par
 """
-"""A box of LaTeX that is as wide as a line at most; needs graphicx, as the rules need booktabs."""
+"""A box of LaTeX, in a line of its own and as wide as one at most; needs graphicx, as the rules
+need booktabs."""
 LATEX_COLUMNS = ("EMCC_0.33", "EMCC_0.99", "cost rate", "J_R", "J_C")
 """Columns of tables for LaTeX, which fit the width of a text."""
 NARROW, WIDE = 12, 20

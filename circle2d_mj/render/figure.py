@@ -55,7 +55,7 @@ def figure(
                 draw.rectangle((corner, top, corner + size - 1, top + size - 1), outline=REGION)
             if captions:
                 place = (corner + size // 2, top + size + gap * 4 // 5)
-                draw.text(place, captions[row][column], FAINT, small, anchor="mm")
+                draw.text(place, captions[row][column], FAINT, _font(size, 23), anchor="mm")
     if most_visits:
         _draw_scale(image, draw, small, gap, most_visits)
     return np.asarray(image)

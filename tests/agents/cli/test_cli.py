@@ -58,14 +58,23 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
 
 def test_evaluate_plays_a_policy_of_the_package(capsys):
     name = "pretrained:trpo-lag/Circle2D-2-v0"
-    assert main(["evaluate", name, "--episodes", "3"]) == 0
-    expected = [f"{name}: means over 3 episodes"]
-    for deterministic in (True, False):
-        own = agents.evaluate(name, episodes=3, deterministic=deterministic)
-        kind = "deterministic" if deterministic else "stochastic"
-        words = f"J_R {own.mean_return:.2f}, J_C {own.mean_cost:.2f}"
-        expected.append(f"Circle2D-2-v0, seed 100, {kind} policy: {words}")
-    assert capsys.readouterr().out.splitlines() == expected
+    for episodes, how in ((3, "ranges"), (8, "95 % t intervals")):
+        assert main(["evaluate", name, "--episodes", str(episodes)]) == 0
+        expected = [f"{name}: means over {episodes} episodes, with {how}"]
+        for deterministic in (True, False):
+            own = agents.evaluate(name, episodes=episodes, deterministic=deterministic)
+            kind = "deterministic" if deterministic else "stochastic"
+            told = []
+            for values in (own.returns, own.costs):
+                if episodes == 3:
+                    told.append(f"{values.mean():.2f} ({values.min():.2f} to {values.max():.2f})")
+                else:
+                    margin = 2.364624 * values.std(ddof=1) / 8**0.5  # of 7 degrees of freedom
+                    low, high = values.mean() - margin, values.mean() + margin
+                    told.append(f"{values.mean():.2f} [{low:.2f}, {high:.2f}]")
+            words = f"J_R {told[0]}, J_C {told[1]}"
+            expected.append(f"Circle2D-2-v0, seed 100, {kind} policy: {words}")
+        assert capsys.readouterr().out.splitlines() == expected
 
 
 def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):

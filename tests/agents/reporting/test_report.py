@@ -260,7 +260,7 @@ def test_latex_has_the_means_and_what_letters_mean_there():
     ]
     table = Table("50 % of\nall", ["Task_1", "J_R", "solved"], rows, ["a note"])
     assert table.latex(("J_R", "solved")).splitlines() == [
-        r"\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        r"\par\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
         "% 50 % of all; brackets: intervals, parentheses: ranges",
         r"\begin{tabular}{@{}lrr@{}}",
         r"\toprule",
@@ -272,7 +272,7 @@ def test_latex_has_the_means_and_what_letters_mean_there():
         r"paper & $<$0.001 & -- \\",
         r"\bottomrule",
         r"\end{tabular}",
-        "}",
+        r"}\par",
         "% Note: a note",
     ]
     # Of the paper's columns it has one.
