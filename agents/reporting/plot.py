@@ -92,11 +92,16 @@ def plot(
 
 
 def _given(what: str, given: Mapping[str, str] | None, entries: Sequence[str]) -> dict[str, str]:
-    """What a user gives for some of the legend's entries."""
-    for entry in given or {}:
-        if entry not in entries:
-            raise UserError(f"{what}: no curve is called {entry!r}: {nearest(entry, entries)}")
-    return dict(given or {})
+    """What a user gives for some of the legend's entries; of one alone of its algorithm the
+    algorithm's name will do."""
+    found = {}
+    for name, value in (given or {}).items():
+        called = [entry for entry in entries if entry == name]
+        called = called or [entry for entry in entries if entry.partition(" (")[0] == name]
+        if len(called) != 1:
+            raise UserError(f"{what}: no curve is called {name!r}: {nearest(name, entries)}")
+        found[called[0]] = value
+    return found
 
 
 def _draw(

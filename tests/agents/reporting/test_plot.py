@@ -8,6 +8,7 @@ from small_runs import write_evaluated
 
 import agents
 from agents.cli.main import main
+from agents.errors import UserError
 from agents.reporting import plot as plotting
 
 
@@ -57,6 +58,15 @@ def test_equal_runs_give_equal_files(runs, tmp_path, suffix):
         agents.plot(runs, out=file)
     assert first.read_bytes() == second.read_bytes()
     assert b"/Type3" not in first.read_bytes()  # fonts that journals refuse
+
+
+def test_the_name_of_an_algorithm_stands_for_its_only_curve():
+    entries = ["CPO (100 steps)", "PPO-Lag", "PPO-Lag (clip_range 0.1)", "SAC (a 1)", "SAC (a 2)"]
+    found = plotting._given("names", {"CPO": "ours", "PPO-Lag": "theirs"}, entries)
+    assert found == {"CPO (100 steps)": "ours", "PPO-Lag": "theirs"}
+    for name in ("SAC", "CP"):
+        with pytest.raises(UserError, match=f"no curve is called '{name}'"):
+            plotting._given("names", {name: "x"}, entries)
 
 
 def test_mistakes_are_named_and_nothing_is_written(runs, tmp_path, capsys):
