@@ -232,7 +232,8 @@ def _mean(values: NDArray[np.float64]) -> str:
     mean = emcc.mean_interval(values.ravel())
     if mean.kind == "t":
         return f"{mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
-    return f"{mean.value:.2f}" + f" ({mean.low:.2f} to {mean.high:.2f})" * (values.size > 1)
+    words = "" if mean.low is None else f" ({mean.low:.2f} to {mean.high:.2f})"
+    return f"{mean.value:.2f}{words}"
 
 
 @dataclass(frozen=True)
