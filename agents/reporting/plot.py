@@ -92,8 +92,8 @@ def plot(
 
 
 def _given(what: str, given: Mapping[str, str] | None, entries: Sequence[str]) -> dict[str, str]:
-    """What a user gives for some of the legend's entries; of one alone of its algorithm the
-    algorithm's name will do."""
+    """The values that a user gives for some of the legend's entries. The algorithm's name stands
+    for its curve where it has a single one."""
     found = {}
     for name, value in (given or {}).items():
         called = [entry for entry in entries if entry == name]

@@ -1,4 +1,4 @@
-"""What is read of trainings: their arrays, the runs in them, and groups of runs."""
+"""Trainings as they are read: their arrays, the runs in them, and groups of runs."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class RunResult:
     training: Training | None = field(default=None, repr=False)
     """The one it is of, which has what pictures and tables of recorded numbers show."""
     prefix: str = ""
-    """Of the names of its arrays there."""
+    """The beginning of the names of its arrays there."""
 
     @property
     def total_steps(self) -> int:

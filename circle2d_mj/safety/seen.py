@@ -319,7 +319,7 @@ _WEIGHTS = {
     "vases": ("contact_cost", "velocity_cost"),
     "gremlins": ("contact_cost", "dist_cost"),
 }
-"""Of rewards and costs: all are 1"""
+"""Names of the weights of rewards and costs, all of which are 1, by kind of object."""
 _SENSORS = ("accelerometer", "velocimeter", "gyro", "magnetometer")
 
 

@@ -1,4 +1,4 @@
-"""What the theme lacks: marks for readers with a keyboard or a screen reader, and whole numbers."""
+"""Additions to the theme: marks for keyboards and screen readers, and numbers that do not break."""
 
 from __future__ import annotations
 

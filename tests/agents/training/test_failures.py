@@ -174,7 +174,7 @@ def test_an_exit_in_a_module_or_a_policy(tmp_path, monkeypatch):
 
 
 def test_an_exit_while_options_are_read(monkeypatch, capsys):
-    """As in the config of an algorithm of one's own, which reading the options makes."""
+    """The config of an algorithm of one's own may exit: reading the options makes it."""
     monkeypatch.setattr("tyro.cli", lambda *args, **more: sys.exit("away"))
     assert main(["report", "runs"]) == 1
     assert re.search(r"SystemExit: away .*test_failures\.py, line", capsys.readouterr().err)
