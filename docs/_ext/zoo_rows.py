@@ -9,6 +9,7 @@ policy keeps J_C within the task's limit.
 
 from __future__ import annotations
 
+import functools
 import json
 import shutil
 import sys
@@ -51,6 +52,7 @@ PUBLISHED = {
 }
 
 
+@functools.cache
 def evaluated(folder: Path) -> pd.DataFrame:
     """Mean return and cost of the last evaluation, by policy and seed."""
     frame = agents.load_runs(folder).to_pandas("evaluations")
