@@ -107,7 +107,8 @@ def long_frame(
             first = {**about, "task": run.task, "seed": run.seed}
             # Lists, since a hyper-parameter may be a tuple.
             frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
-    return pd.concat(frames, ignore_index=True)
+    # Without those of no row, which would make whole numbers fractions.
+    return pd.concat([own for own in frames if len(own)] or frames, ignore_index=True)
 
 
 def _episodes(training: Training, run: RunId) -> dict[str, Any]:
@@ -125,9 +126,9 @@ def _episodes(training: Training, run: RunId) -> dict[str, Any]:
 def _updates(training: Training, run: RunId) -> dict[str, Any]:
     """Columns of the updates of a run; `step`: environment steps taken by then."""
     arrays = training.arrays
+    if f"{run.prefix}length" not in arrays:  # no checkpoint yet, or it failed in its first epoch
+        return {"rollout": np.arange(0), "step": np.arange(0)}
     if f"{run.prefix}updates" not in arrays:
-        if f"{run.prefix}failure" in arrays and f"{run.prefix}length" not in arrays:
-            return {"rollout": np.arange(0), "step": np.arange(0)}  # it failed in its first epoch
         raise UserError(
             f"{run} has no updates: none was made, or an archive, which keeps multipliers alone"
         )

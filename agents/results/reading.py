@@ -232,12 +232,10 @@ def _list(seeds: Sequence[int]) -> str:
 
 
 def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
-    """Episodes of a run so far, none of one that failed in its first epoch. Raises UserError where
-    there is no checkpoint yet, or they are damaged."""
+    """Episodes of a run so far, none of one without a checkpoint yet or that failed in its first
+    epoch. Raises UserError where they are damaged."""
     if f"{run.prefix}length" not in arrays:
-        if f"{run.prefix}failure" in arrays:
-            return CostRecorder(1).records
-        raise UserError("has no checkpoint yet")
+        return CostRecorder(1).records
     try:
         return records_of(arrays, run.prefix, cost)
     except UserError:
@@ -251,6 +249,8 @@ def _read_run(training: Training, run: RunId, cost: str, window: int | None) -> 
     arrays, config = training.arrays, training.config
     if f"{run.prefix}failure" in arrays:
         raise UserError(str(arrays[f"{run.prefix}failure"]))
+    if f"{run.prefix}length" not in arrays:
+        raise UserError("has no checkpoint yet")
     records = run_records(arrays, run, cost)
     if records.total_steps < config.steps:
         raise UserError(f"unfinished: {records.total_steps} of {config.steps} steps")

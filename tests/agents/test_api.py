@@ -74,6 +74,21 @@ def test_frames(runs):
         runs.to_pandas("runs")
 
 
+def test_a_run_killed_before_its_first_epoch_hides_no_other(runs, tmp_path):
+    """It has no episode yet: records and frames are those of the others, bit for bit."""
+    shutil.copytree(runs.folder, tmp_path / "whole")
+    dataclasses.replace(runs.config, seeds=(5,)).write(tmp_path / "killed")
+    both = agents.load_runs(tmp_path)
+    lengths = [len(of_run) for of_run in both.records.values()]
+    assert lengths == [0, 6, 6]
+    for rows in ("episodes", "updates", "evaluations"):
+        expected = runs.to_pandas(rows).assign(folder="whole")
+        pandas.testing.assert_frame_equal(both.to_pandas(rows), expected)
+        assert agents.load_runs(tmp_path / "killed").to_pandas(rows).empty
+    with pytest.warns(UserWarning, match="killed, seed 5: has no checkpoint yet"):
+        assert both.to_pandas().equals(runs.to_pandas().assign(folder="whole"))
+
+
 def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
     write_archive(tmp_path / "runs.zip", runs.results)
     packed = agents.load_runs(tmp_path / "runs.zip")
