@@ -66,12 +66,15 @@ def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords
     """Records of one training run, from a file or run folder as `python -m emcc` reads it.
 
     threshold: a step that costs more is a cost step.
-    ValueError: several runs, something that cannot be understood, or a threshold for a file with a
-    row for each episode, which holds streaks instead of costs of steps.
+    ValueError: several runs, one whose training failed on the way, something that cannot be
+    understood, or a threshold for a file with a row for each episode, which holds streaks instead
+    of costs of steps.
     """
     runs = read_runs(Path(path), threshold)
     if len(runs) > 1:
         raise ValueError(f"{path}: one run is needed, but there are {len(runs)}")
+    if runs[0].failure:  # thirds of what there is are none of the training's
+        raise ValueError(f"{path}: {runs[0].failure}")
     return runs[0].records
 
 

@@ -256,6 +256,16 @@ def test_one_run_is_read_as_records(two_tasks, tmp_path):
     assert emcc.read(tmp_path / "one").to_csv() == records_of(episodes(50, 5)).to_csv()
 
 
+@pytest.mark.parametrize("recorded", [50, 0])
+def test_a_run_that_failed_on_the_way_is_no_training(tmp_path, recorded):
+    """Thirds of its 50 episodes would not be those of the training; the command leaves it out."""
+    arrays = arrays_of(episodes(50, 5)) if recorded else {}
+    arrays["failure"] = np.array("failed at step 500: its reward is not finite")
+    folder = write_run(tmp_path / "one", {("A-v0", 5): arrays})
+    with pytest.raises(ValueError, match="one: failed at step 500: its reward is not finite"):
+        emcc.read(folder)
+
+
 def test_every_named_cost_has_records_of_its_own(tmp_path):
     """Costs of any size are values beside the bits; a threshold counts the steps that cost more."""
     first = episodes(50)
