@@ -110,6 +110,6 @@ LATEX = str.maketrans(
     {character: rf"\{character}" for character in "&%$#_{}"}
     | {character: f"${character}$" for character in "<>|"}
     | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    | {"α": r"$\alpha$", MISSING: "--"}
+    | {"α": r"$\alpha$", "≤": r"$\leq$", MISSING: "--"}
 )
 """Characters that are written otherwise in LaTeX."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from agents.reporting.provenance import made
 from agents.reporting.table import Number, Table, corrected, latex, markdown
 from agents.reporting.tables import (
     caption,
+    caption_in_paper,
     difference_rows,
     lengths_differ,
     long_settings,
@@ -167,7 +169,8 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     told = [f"{task}: {note}" for note in (*long_settings(groups), *unequal_lengths(groups))]
     words = f"{caption(groups)}; {METHOD.format(corrected(tests, 'made here'))}"
     notes = [*notes, *told, *_too_few(task, sides, tests)]
-    return measures_table(words, task, rows, notes, lengths=lengths_differ(groups))
+    made = measures_table(words, task, rows, notes, lengths=lengths_differ(groups))
+    return replace(made, in_paper=caption_in_paper(groups))
 
 
 def _settings(group: Group) -> tuple[str, dict[str, Any]]:

@@ -16,11 +16,16 @@ from emcc.table import LATEX, tabular
 MISSING = "\N{EN DASH}"
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
-FITTED = r"""\par\noindent\resizebox{{\ifdim\width>\linewidth\linewidth\else\width\fi}}{{!}}{{%
-{}}}\par
+FLOAT = r"""\begin{{table}}
+\centering
+\caption{{{}}}
+\smallskip
+\resizebox{{\ifdim\width>\linewidth\linewidth\else\width\fi}}{{!}}{{%
+{}}}
+\end{{table}}
 """
-"""A box of LaTeX, in a line of its own and as wide as one at most; needs graphicx, as the rules
-need booktabs."""
+"""A float of LaTeX: a caption above a tabular that is as wide as a line at most; needs graphicx, as
+the rules need booktabs."""
 LATEX_COLUMNS = ("EMCC_0.33", "EMCC_0.99", "cost rate", "J_R", "J_C")
 """Columns of tables for LaTeX, which fit the width of a text."""
 NARROW, WIDE = 12, 20
@@ -134,6 +139,8 @@ class Table:
     """The meaning of a mark."""
     details: Collection[str] = ()
     """Heads of columns that a terminal leaves out."""
+    in_paper: str = ""
+    """The caption in LaTeX, which has no runs and fewer columns; by default the legend."""
 
     @property
     def columns(self) -> int:
@@ -172,8 +179,8 @@ class Table:
         return "\n".join([*legend, markdown_rows(head, rows), *notes, ""])
 
     def latex(self, columns: Collection[str] = LATEX_COLUMNS) -> str:
-        """The means above their intervals, and the paper's numbers, as a tabular with the rules of
-        booktabs; all rows of a table without means. Legend and notes are comments.
+        """The means above their intervals, and the paper's numbers, as a table with a caption and
+        the rules of booktabs; all rows of a table without means. Legend and notes are comments.
 
         columns: heads of those shown beside the name; of a table that has none of them all but the
         details.
@@ -189,14 +196,17 @@ class Table:
             below = [_small("".join(more)), *map(_latex_interval, cells)]
             lines += [[_latex(name), *map(_latex, cells)], *[below] * any(below)]
         head = [_latex(self.head[0]), *(_latex_symbol(self.head[k]) for k in shown)]
-        legend = "brackets: intervals, parentheses: ranges"
-        legend = "; ".join(filter(None, [one_line(self.legend), legend * any(self._intervals)]))
+        numbers = [cell for row in rows for k in shown if isinstance(cell := row.cells[k], Number)]
+        words = [self.in_paper or self.caption]
+        if any(cell.is_range for cell in numbers) and not self.in_paper:
+            words.append("(lowest, highest run)")
+        if any(cell.marked for cell in numbers) and self.marking:
+            words.append(f"bold: {self.marking}")
+        said = "; ".join(filter(None, words))
+        said = _latex_words(said[:1].upper() + said[1:] + "." * bool(said))
         notes = [f"% Note: {one_line(note)}\n" for note in self.notes]
-        return FITTED.format(tabular(legend, head, lines)) + "".join(notes)
-
-    @property
-    def _intervals(self) -> Iterator[str]:
-        return (cell.interval for row in self.rows for cell in row.numbers)
+        grid = tabular(one_line(self.legend), head, lines)
+        return FLOAT.format(said, grid) + "".join(notes)
 
 
 _INTERVAL = re.compile(r" \[[^\]]*\]")
@@ -273,6 +283,13 @@ def _latex_symbol(head: str) -> str:
         return _latex(head)
     stem, index = symbol.groups()
     return rf"${stem}_{{{index}}}$" if len(stem) == 1 else rf"{stem}$_{{{index}}}$"
+
+
+def _latex_words(text: str) -> str:
+    """Sentences, with the symbols of columns in them."""
+    symbol = r"\b([A-Za-z]+_(?:[A-Z]\b|\d\.\d+))"
+    parts = re.split(symbol, one_line(text))  # in turn words and symbols
+    return "".join(_latex_symbol(part) if k % 2 else _latex(part) for k, part in enumerate(parts))
 
 
 def _latex_interval(cell: Cell) -> str:

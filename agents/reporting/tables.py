@@ -41,7 +41,7 @@ from emcc.panels import (
 )
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, TIES
-from emcc.statistics import SHARE, Bounds
+from emcc.statistics import FEWEST_RUNS, SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -71,7 +71,8 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
     )
     notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
     notes += _random(groups)
-    return measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
+    made = measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
+    return replace(made, in_paper=caption_in_paper(groups))
 
 
 def measures_table(
@@ -113,21 +114,51 @@ def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:
 
 def caption(groups: Sequence[Group]) -> str:
     """Definitions of the numbers of a table."""
-    episodes = sorted({run.episodes for group in groups for run in group.runs})
     notes = "".join(f"{m.note}; " for m in measures() if m.note)
-    windows = {window_words(run.window, None) for group in groups for run in group.runs}
-    ties = ", ".join(filter(None, (f"ties {TIES[0]}", *windows)))
     if any(run.ways for group in groups for run in group.runs):
         notes += (
             '"through": as many cost steps as the shortest way through the region takes, or more, '
             '"round": fewer; '
         )
     return (
-        f"EMCC: alpha = {ALPHA:g}, {ties}; J_R, J_C, CVaR: undiscounted, deterministic policy, "
-        f"{' or '.join(map(str, episodes)) or 'no'} episodes; {notes}mean {INTERVALS}; within "
-        "limit: seeds whose J_C is at most the cost limit; counts of seeds [95 % Clopper-Pearson "
-        "interval of the share]"
+        f"EMCC: alpha = {_emcc(groups)}; J_R, J_C, CVaR: {_evaluated_by(groups)}; {notes}mean "
+        f"{INTERVALS}; within limit: seeds whose J_C is at most the cost limit; counts of seeds "
+        "[95 % Clopper-Pearson interval of the share]"
     )
+
+
+def caption_in_paper(groups: Sequence[Group]) -> str:
+    """Definitions of the means of a table and of what stands below them in LaTeX; empty where no
+    run is complete."""
+    groups = [group for group in groups if group.runs]
+    if not groups:
+        return ""
+    seeds = {len(group.runs) for group in groups}
+    limits = sorted({group.limit for group in groups if group.limit is not None})
+    words = f"mean over {' to '.join(map(str, sorted({min(seeds), max(seeds)})))} "
+    words += "seeds" if max(seeds) > 1 else "seed"
+    few = any(1 < n < FEWEST_RUNS for n in seeds)
+    enough = [group.one_place for group in groups if len(group.runs) >= FEWEST_RUNS]
+    words += " [95 % t interval]" * any(enough)
+    if few or not all(enough):
+        kinds = [f"fewer than {FEWEST_RUNS} seeds"] * few
+        kinds += ["seeds that end in different places"] * (not all(enough))
+        words += f" or, of {' and of '.join(kinds)}," * any(enough) + " (lowest, highest)"
+    words += f"; EMCC: thirds of training, α = {_emcc(groups)}; J_R, J_C: {_evaluated_by(groups)}"
+    return words + f"; cost limit {' or '.join(f'{d:g}' for d in limits)}" * bool(limits)
+
+
+def _emcc(groups: Sequence[Group]) -> str:
+    """How EMCC is taken: its share, ties and windows."""
+    windows = {window_words(run.window, None) for group in groups for run in group.runs}
+    return ", ".join(filter(None, (f"{ALPHA:g}", f"ties {TIES[0]}", *windows)))
+
+
+def _evaluated_by(groups: Sequence[Group]) -> str:
+    """How J_R and J_C are taken."""
+    episodes = sorted({run.episodes for group in groups for run in group.runs})
+    number_of = " or ".join(map(str, episodes)) or "no"
+    return f"undiscounted, deterministic policy, {number_of} episodes"
 
 
 def means(group: Group) -> dict[str, float | None]:

@@ -2,7 +2,9 @@
 test_report_numbers.py. How a report was made: commands that train the same again, machine, time."""
 
 import json
+import re
 import shlex
+import shutil
 import subprocess
 from dataclasses import asdict, replace
 from importlib.resources import files
@@ -260,8 +262,12 @@ def test_latex_has_the_means_and_what_letters_mean_there():
     ]
     table = Table("50 % of\nall", ["Task_1", "J_R", "solved"], rows, ["a note"])
     assert table.latex(("J_R", "solved")).splitlines() == [
-        r"\par\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-        "% 50 % of all; brackets: intervals, parentheses: ranges",
+        r"\begin{table}",
+        r"\centering",
+        r"\caption{50 \% of all; (lowest, highest run).}",
+        r"\smallskip",
+        r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        "% 50 % of all",
         r"\begin{tabular}{@{}lrr@{}}",
         r"\toprule",
         r"Task\_1 & $J_{R}$ & solved \\",
@@ -272,7 +278,8 @@ def test_latex_has_the_means_and_what_letters_mean_there():
         r"paper & $<$0.001 & -- \\",
         r"\bottomrule",
         r"\end{tabular}",
-        r"}\par",
+        "}",
+        r"\end{table}",
         "% Note: a note",
     ]
     # Of the paper's columns it has one.
@@ -281,10 +288,43 @@ def test_latex_has_the_means_and_what_letters_mean_there():
     assert r" & EMCC$_{0.33}$ & my\_measure \\" in table.latex(("EMCC_0.33", "my_measure"))
 
 
+@pytest.mark.parametrize(
+    ("seeds", "at", "said"),
+    [
+        ((1,), None, {"over 1 seed;"}),
+        ((3, 1), None, {"over 1 to 3 seeds", "(lowest, highest)"}),
+        ((5,), None, {"over 5 seeds", r"[95 \% t interval]"}),
+        ((5,), AT, {"over 5 seeds", "(lowest, highest)"}),
+        ((6, 3), None, {"over 3 to 6 seeds", "[95", "(lowest, highest)", "fewer than 5"}),
+    ],
+)
+def test_the_caption_in_latex_explains_what_stands_below_the_means(tmp_path, seeds, at, said):
+    """What brackets and parentheses are there is said, and nothing else; and the cost limit."""
+    for name, number in zip(("cpo", "trpo-lag"), seeds, strict=False):
+        ends = at and [[[-0.5, 0.0]]] + [[[1.0, 0.0]]] * (number - 1)
+        write_evaluated(tmp_path / name, name, range(1, number + 1), at=ends)
+    report(tmp_path)
+    tex = (tmp_path / "report.tex").read_text()
+    found = re.search(r"^\\caption\{(.*)\}$", tex, re.M)
+    assert found
+    assert {words for words in said if words in found[1]} == said
+    assert "cost limit 5" in found[1]
+    body = re.sub("^%.*$", "", tex[found.end() :], flags=re.M)
+    assert ("[95" in found[1]) == (r"& {\scriptsize [" in body)
+    assert ("(lowest" in found[1]) == (r"& {\scriptsize (" in body)
+    if shutil.which("pdflatex"):
+        start = r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}"
+        (tmp_path / "paper.tex").write_text(rf"{start}\input{{report}}\end{{document}}")
+        command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, encoding="latin-1")
+        assert done.returncode == 0 and "Overfull" not in done.stdout, done.stdout
+
+
 def test_columns_of_latex_are_chosen_by_their_heads(tmp_path):
     write_evaluated(tmp_path, "cpo", costs=(1, 2))
     report(tmp_path, columns=("J_C", "mean streak (steps)"))
-    head = [line for line in (tmp_path / "report.tex").read_text().splitlines() if "J_{C}" in line]
+    lines = (tmp_path / "report.tex").read_text().splitlines()
+    head = [line for line in lines if "& $J_{C}$" in line]
     assert head == [r"Circle2D-1-v0 & $J_{C}$ & mean streak (steps) \\"]
     with pytest.raises(UserError, match=r"no table has a column 'J_c': did you mean 'J_C'"):
         report(tmp_path, columns=("J_c",))
