@@ -32,9 +32,9 @@ ENVIRONMENT = re.compile(
 )
 """Names of columns, in small letters alone, that tell environments apart, whose steps may stand
 between each other; so do others whose values come in turns: see `_environments`."""
-STEP = re.compile(r"(global|total|env|time)?(time)?steps?")
-"""Likewise, columns that count steps: rows of an episode with one number are of environments side
-by side."""
+STEP = re.compile(r"(n|num|global|total|env|time)?(time)?steps?|t")
+"""Likewise, columns that count steps, which rise from row to row of an episode."""
+WHOLE = re.compile(r"\d+(\.0*)?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +189,12 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
             "which they ended, each with a number of its own in the column episode, and no "
             f"{name}"
         )
+    if name := _not_rising(columns, cuts | ends | marked):
+        raise ValueError(
+            f"the column {name} does not rise within an episode: steps of several environments "
+            "stand between each other, or an end is not marked; write whole episodes in the order "
+            "in which they ended, each with a number of its own in the column episode"
+        )
     if len(set(rollouts)) < cuts.sum():
         raise ValueError("the steps of a rollout must follow one another")
     if "episode" in columns and len({*zip(rollouts, episodes, strict=True)}) < (cuts | ends).sum():
@@ -219,18 +225,15 @@ def _marked(columns: Columns, marks: list[str]) -> NDArray[np.bool_]:
 def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
     """The column that tells several environments apart; "" where none does.
 
-    It has such a name; or it counts steps, and rows that follow one another in an episode have one
-    number; or its values come in turns, as steps of environments side by side do: 0, 1, 2, 0, 1, 2,
-    ... A number of the step in its episode does so too, but begins again at each end. ends: of the
-    rows, which are the last of an episode or rollout.
+    It has such a name; or its values come in turns, as steps of environments side by side do: 0, 1,
+    2, 0, 1, 2, ... A number of an episode's steps does so too, but begins again at each end. ends:
+    of the rows, which are the last of an episode or rollout.
     """
     for name, values in columns.items():
         count = len({*values})
-        if name in (*KNOWN, *ENDS) or count == 1:
+        if name in (*KNOWN, *ENDS) or count == 1 or STEP.fullmatch(_letters(name)):
             continue
-        letters = re.sub(r"[^a-z]", "", name.lower())
-        twice = (a == b and not end for (a, b), end in zip(pairwise(values), ends, strict=False))
-        if ENVIRONMENT.fullmatch(letters) or (STEP.fullmatch(letters) and any(twice)):
+        if ENVIRONMENT.fullmatch(_letters(name)):
             return name
         # Three turns at least: fewer may be chance.
         if 3 * count <= len(values) and len({*values[:count]}) == count:
@@ -238,6 +241,21 @@ def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
             if again and not ends[count - 1 :: count].all():
                 return name
     return ""
+
+
+def _not_rising(columns: Columns, ends: NDArray[np.bool_]) -> str:
+    """The column that counts steps and does not rise within an episode, "" without; ends: as above.
+    Fractions are times, which may be rounded."""
+    for name, values in columns.items():
+        if STEP.fullmatch(_letters(name)) and all(map(WHOLE.fullmatch, values)):
+            rising = np.diff(columns.numbers(name, float)) > 0
+            if len({*values}) > 1 and not (rising | ends[:-1]).all():
+                return name
+    return ""
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z]", "", name.lower())
 
 
 def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:

@@ -132,8 +132,16 @@ BAD_FILES = {
             f"{name},done,cost\n0,0,1\n0,0,0\n1,0,1\n1,0,0\n2,1,1\n2,1,0\n",
             f"the column {name}",
         )
-        for name in ("step", "global_step", "Timesteps")
+        for name in ("step", "global_step", "Timesteps", "num_timesteps", "t")
     },
+    "two of unequal places": (
+        "t,done,cost\n4,0,1\n9,0,0\n5,1,1\n10,0,0\n0,0,1\n11,1,0\n",
+        "the column t does not rise within an episode",
+    ),
+    "an end at a time limit that is not marked": (
+        "step,terminated,cost\n0,0,1\n1,0,1\n0,0,1\n1,0,0\n2,1,0\n",
+        "the column step does not rise within an episode: .* an end is not marked",
+    ),
     "two in turns": ("k,done,cost\n" + TWO_IN_TURNS, "the column k"),
     "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
     "monitor.csv": ('#{"t": 1, "env": 2}\nr,l,t\n1,2,3\n', "has the columns r, l, t. EMCC needs"),
