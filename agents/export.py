@@ -186,6 +186,8 @@ def _card(
     """The model card. recorded: `config.json`; policies: by seed; code: that reads a file."""
     task, name = next(iter(policies.values())).task, title(config.algorithm)
     spaces, versions = read_spaces(folder), recorded.get("versions") or {}
+    wraps = hasattr(config.hyperparameters, "wrap")  # as a limit of the longest streak, Sauté
+    seen = "as `agents.load_policy(...).wrap(env)` gives it" if wraps else "as the task gives it"
     bounds = ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(spaces.low, spaces.high, strict=True))
     parameters = f" with {config.task_parameters}" if config.task_parameters else ""
     facts = {
@@ -196,7 +198,7 @@ def _card(
         "commit": _commit(recorded),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "trained by": f"`{command(config, 'runs', recorded)}`",
-        "observation": f"float32 [N, {spaces.observation_size}], as the task gives it",
+        "observation": f"float32 [N, {spaces.observation_size}], {seen}",
         "action": f"float32 [N, {len(spaces.low)}], in {bounds}; without noise",
     }
     rows = "\n".join(f"| {name} | {text} |" for name, text in facts.items() if text)

@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -59,6 +60,29 @@ def test_the_cards_code_gives_our_actions(folder, tmp_path, monkeypatch, format)
     np.testing.assert_allclose(policy(OBSERVATIONS[:1]), ours[:1], rtol=0, atol=1e-6)
     again = export(folder, format, tmp_path / "again")
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in paths]
+
+
+@pytest.mark.parametrize("format", ["safetensors", "onnx"])
+def test_what_an_algorithm_adds_to_observations_is_an_input(tmp_path, monkeypatch, format):
+    """A limit of the longest streak: two numbers behind the two of the task, and a card that does
+    not call all four the task's."""
+    more = {"seeds": 0, "steps": 300, "streak_limit": 3.0, "out": tmp_path / "x"}
+    runs = agents.train("ppo-lag", "Walk-v0", **(SMALL | NORMALIZED | more))
+    card = export(runs.folder, format, tmp_path)[-1].read_text()
+    (row,) = [line for line in card.splitlines() if line.startswith("| observation |")]
+    assert "[N, 4]" in row
+    assert "as `agents.load_policy(...).wrap(env)` gives it" in row
+    ours = agents.load_policy(runs.folder)
+    env, policy = ours.wrap(gym.make("Walk-v0")), loaded(card, monkeypatch, tmp_path)
+    observation, over, streak, longest = env.reset(seed=0)[0], False, 0, 0
+    while not over:
+        np.testing.assert_allclose(observation[2:], [streak / 20, longest / 20], rtol=1e-6)
+        action = policy(observation[None])[0]
+        np.testing.assert_allclose(action, ours(observation), rtol=0, atol=1e-6)
+        observation, _, *ends, info = env.step(action)
+        streak = streak + 1 if info["cost"] > 0 else 0
+        longest, over = max(longest, streak), any(ends)
+    assert longest > 0
 
 
 def test_files_say_what_they_are(folder, tmp_path):
