@@ -91,13 +91,15 @@ def _with_cause(
 
 OURS = tuple(str(Path(__file__).parents[1] / name) for name in ("agents", "circle2d_mj", "emcc"))
 """Folders of this package, whose frames are not the user's."""
+BETWEEN = ("importlib", "concurrent")
+"""Of Python's own: they stand between one that imports or calls and what is imported or called."""
 
 
 def described(error: BaseException) -> str:
     """An error of somebody's code: its type, its words, and the file and line where it arose."""
     words = f"{type(error).__name__}: {error}".removesuffix(": ")
     frames = traceback.extract_tb(error.__traceback__)
-    others = ("gymnasium", "importlib", "concurrent")
+    others = ("gymnasium", *BETWEEN)
     own = [
         frame
         for frame in frames
@@ -141,8 +143,11 @@ def _how_to_install(name: str) -> str:
 
 
 def extra_hint(error: ModuleNotFoundError, user: str) -> str:
-    """Return how to install the package of [train] that `user` lacks; "" for any other module."""
-    if (error.name or "").partition(".")[0] not in EXTRA:
+    """Return how to install the package of [train] that `user` lacks; "" for any other module, and
+    for one that somebody else's code imports."""
+    frames = traceback.extract_tb(error.__traceback__)
+    files = [f.filename for f in frames if not any(name in f.filename for name in BETWEEN)]
+    if (error.name or "").partition(".")[0] not in EXTRA or not files[-1].startswith(OURS):
         return ""
     return f"{user} needs {error.name}, which is not installed: {_how_to_install('train')}"
 

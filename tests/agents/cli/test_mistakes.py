@@ -3,11 +3,13 @@
 import os
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
 import agents
 from agents.cli.main import main
+from agents.errors import extra_hint
 from agents.training import config
 from emcc import EpisodeRecords
 
@@ -116,6 +118,22 @@ def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, caps
         [*options, "--out", str(tmp_path / "x")], capsys
     )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("importer", "needs"),
+    [("agents/cli/showing.py", True), ("agents/zoo.py", True), ("../my_algorithm.py", False)],
+)
+def test_a_library_that_code_of_others_lacks_is_not_what_the_command_needs(importer, needs):
+    """Though it is one of ours: by the file whose line imports it, behind Python's own."""
+    file = str(Path(agents.__file__).parents[1] / importer)
+    code = "def imports(name):\n    import importlib\n    importlib.import_module(name)"
+    names = {}
+    exec(compile(code, file, "exec"), names)
+    with pytest.raises(ModuleNotFoundError) as caught:
+        names["imports"]("rich.nothing_of_that_name")
+    hint = extra_hint(caught.value, "train")
+    assert hint.startswith("train needs rich.nothing_of_that_name, which") if needs else not hint
 
 
 @pytest.mark.parametrize(
