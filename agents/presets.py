@@ -142,14 +142,21 @@ def recipe(task: str) -> Recipe:
 
 def preset(name: str, task: str, of: PresetName = "paper") -> Any:
     """The hyper-parameters of an algorithm for a task by one of `PRESETS`; on tasks without a rule
-    the defaults. Raises UserError for an unknown algorithm or preset."""
+    the defaults. Raises UserError for an unknown algorithm or preset, and where the zoo has no
+    settings of the algorithm for the task: the defaults limit another cost."""
     config = algorithm(name).config
     if of not in PRESETS:
         raise UserError(f"there is no preset {of!r}: {nearest(str(of), PRESETS)}")
+    rules = [rule for rule in PRESETS[of] if rule.holds(name, registered_id(task))]
+    if of == "zoo" and not rules:
+        known = recipe(task).algorithm
+        raise UserError(
+            f"the zoo's settings for {task} are of {known}, not of {name}: choose the preset paper "
+            "or none"
+        )
     values: dict[str, Any] = {}
-    for rule in PRESETS[of]:
-        if rule.holds(name, registered_id(task)):
-            values |= rule.values
+    for rule in rules:
+        values |= rule.values
     declared = [field for kind in config.__mro__ for field in get_annotations(kind)]
     return _made(config, tuple((k, v) for k, v in values.items() if declared.count(k) == 1))
 

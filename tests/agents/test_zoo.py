@@ -60,6 +60,18 @@ def test_mistakes(capsys, tmp_path):
         ),
         (["train", "zoo", "--task", "SafetyPointGoal9-v0", *out], "SafetyPointGoal9"),
         (["train", "zoo", "--task", GOAL, "--preset", "none", *out], "a preset of its own"),
+        (
+            ["train", "trpo-lag", "--task", GOAL, "--preset", "zoo", *out],
+            f"the zoo's settings for {GOAL} are of trpo-pid, not of trpo-lag: choose the preset",
+        ),
+        (
+            ["train", "sac-lb-streak", "--task", "Circle2D-2-v0", "--preset", "zoo", *out],
+            "the zoo has no agent for Circle2D-2-v0: ",  # with the defaults its limit was 25
+        ),
+        (
+            ["grid", "trpo-pid", "ppo-lag", "--task", GOAL, "--preset", "zoo", *out],
+            "are of trpo-pid, not of ppo-lag",
+        ),
         (["zoo", "--task", "SafetyPointRun0-v0"], "the zoo has no agent for"),
     ):
         assert main(args) == 2
