@@ -211,7 +211,8 @@ def with_ticks(
         draw.text((column, size - 1.2 * margin), f"{x:g}", anchor="md", **style)
     for y, row in zip(up, rows.tolist(), strict=True):
         draw.line((0, row, margin, row), fill=INK, width=max(size // 320, 1))
-        draw.text((2.5 * margin, row), f"{y:g}", anchor="lm", **style)  # no minus sign
+        # Above its tick, which is no minus sign there, nor struck through by a region's edge.
+        draw.text((1.2 * margin, row), f"{y:g}", anchor="ld", **style)
     draw.text((size - margin, size - 5 * margin), axes[0], anchor="rd", **style)
     draw.text((margin, margin), axes[1], anchor="la", **style)
     return np.asarray(image)

@@ -210,3 +210,16 @@ def test_one_hot_cell_does_not_flatten_the_scale():
     assert canvas.most_visits([one]) == 100
     assert canvas.most_visits([one, two], quantile=1.0) == 10**6
     assert canvas.most_visits([one * 0]) == canvas.most_visits([]) == 1
+
+
+@pytest.mark.parametrize("size", [100, 400, 640])
+def test_a_region_that_ends_at_a_tick_does_not_strike_its_number_through(size):
+    """The number's row is free of ink where the tick is, but for the tick itself."""
+    blank = np.full((size, size, 3), canvas.FREE, np.uint8)
+    shown = canvas.with_ticks(blank, (0.0, 1.0, 0.0, 1.0), ("", ""), ((0.9,), (0.25, 0.5)))
+    inked = (shown != canvas.FREE).any(-1)
+    for y in (0.25, 0.5):
+        row = int(canvas.pixels((0.0, 1.0, 0.0, 1.0), [(0.0, y)], size)[0, 1])
+        assert inked[row, : size // 60].any()
+        assert not inked[row, size // 40 :].any()
+        assert inked[row - size // 20 : row, size // 40 :].any()
