@@ -87,6 +87,7 @@ def read_groups(
             unit = "window" if window else "rollout"
             words = f"of its {group.total_steps:,} steps no {unit} starts in that part"
             notes.append(f"{group.title} has no {', '.join(empty)}: {words}")
+    notes[:] = dict.fromkeys(notes)  # of several costs once
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
     return _pooled(groups, notes)
@@ -96,7 +97,8 @@ def read_folder(path: Path, name: str) -> list[Group]:
     """The runs of one training. Raises UserError where none is complete."""
     groups = _groups(opened(path), name, name, None)
     if not any(group.runs for group in groups):
-        reasons = "; ".join(note for group in groups for note in _left_out(name, group.missing))
+        reasons = (note for group in groups for note in _left_out(name, group.missing))
+        reasons = "; ".join(dict.fromkeys(reasons))
         raise UserError(f"{name} holds no complete runs; {reasons}")
     return groups
 

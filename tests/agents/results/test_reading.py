@@ -97,6 +97,15 @@ def test_an_archive_gives_what_the_folders_gave(runs, packed, tmp_path):
     assert not any("checkpoints" in name or "steps/" in name for name in names)
 
 
+def test_a_run_of_several_costs_is_noted_once(runs, tmp_path):
+    shutil.copytree(runs / "two", tmp_path / "two")
+    edit_results(tmp_path / "two", **{"TwoCosts-v0__3__failure": np.array("it fell")})
+    notes = []
+    groups = read_groups([tmp_path / "two"], notes)
+    assert [group.cost for group in groups] == ["cost", "cost_2"]
+    assert notes == ["left out: two, seed 3: it fell"]
+
+
 def write_old_archive(path, folder):
     """Write an archive of versions before 0.4: bits of all steps, and no updates."""
     with zipfile.ZipFile(path, "w") as archive:
