@@ -70,7 +70,7 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
         ", and among the paper's, of which J_C, a mean, is within the limit" if others else ""
     )
     notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
-    notes += _random(groups)
+    notes += [*_tails(groups), *_random(groups)]
     made = measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
     return replace(made, in_paper=caption_in_paper(groups))
 
@@ -258,6 +258,17 @@ def _limited(groups: Sequence[Group]) -> list[str]:
         return []
     kinds = "; ".join(f"the {words} of {', '.join(titles)}" for words, titles in names.items())
     return [f"The cost limit holds for {kinds}. Marks and claims compare J_C with it."]
+
+
+def _tails(groups: Sequence[Group]) -> list[str]:
+    """The groups whose limit of the longest streak holds for its tail."""
+    alphas = ((g, getattr(g.config.hyperparameters, "streak_alpha", 1.0)) for g in groups)
+    return [
+        f"{group.name}: its limit holds for CVaR_{alpha:g} of the longest streak, the mean of the "
+        f"worst share {alpha:g} of episodes; counts and marks compare the mean of all with it."
+        for group, alpha in alphas
+        if alpha < 1 and group.cost not in group.config.task_costs
+    ]
 
 
 def lengths_differ(groups: Iterable[Group]) -> bool:

@@ -117,7 +117,8 @@ def test_the_quantile_is_of_the_last_hundred_episodes():
 
 
 @pytest.mark.parametrize(
-    ("name", "own"), [("trpo-lag", {"episodes": 2}), ("sac-lag", {"random_steps": 260})]
+    ("name", "own"),
+    [("trpo-lag", {"episodes": 2, "streak_alpha": 0.5}), ("sac-lag", {"random_steps": 260})],
 )
 def test_reports_and_evaluations_show_both(tmp_path, name, own):
     options = {"steps": 300, "seeds": 0, "hidden": (8,), "streak_limit": 3.0, **own}
@@ -126,7 +127,10 @@ def test_reports_and_evaluations_show_both(tmp_path, name, own):
     plain, records = (runs.records_of(name) for name in ("cost", "record_cost"))
     (own,), (of_records,) = plain.values(), records.values()
     assert of_records.cost.tolist() == own.longest_streak.tolist()
-    assert "record_cost" in agents.report(runs, out=tmp_path / "page")
+    page = agents.report(runs, out=tmp_path / "page")
+    assert "record_cost" in page
+    alpha = options.get("streak_alpha", 1)
+    assert (f"record_cost): its limit holds for CVaR_{alpha:g} of" in page) == (alpha < 1)
     found = agents.evaluate(runs.folder, episodes=3)
     assert found.longest_streaks.shape == (1, 3)
     kept = dict(np.load(runs.folder / "results.npz"))
