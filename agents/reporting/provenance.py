@@ -119,12 +119,16 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
     for name in ("costs", "vectorization", "backend", "evaluation_episodes"):
         if (value := getattr(config, name)) != getattr(TrainConfig, name):
             options[name] = value
-    typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
+    typed = (_typed(name, value) for name, value in (options | {"out": out}).items())
     return " ".join(["circle2d train", config.algorithm, *imports, *typed])
 
 
-def _typed(value: Any) -> str:
-    return shlex.join(map(str, value if isinstance(value, tuple) else (value,)))
+def _typed(name: str, value: Any) -> str:
+    """An option as a shell takes it; what is True or False is a flag."""
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{option}" if value else f"--no-{option}"
+    return f"--{option} {shlex.join(map(str, value if isinstance(value, tuple) else (value,)))}"
 
 
 def _list(numbers: Iterable[int]) -> str:

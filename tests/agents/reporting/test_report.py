@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from small_runs import cells, edit_results, lines_of, write_evaluated, write_status
 
+from agents import api
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.evidence import paper_results
@@ -195,6 +196,29 @@ def test_the_command_trains_the_same(tmp_path):
     assert "--backend" not in said
     other = replace(config, backend="numpy")
     assert "--vectorization sync --backend numpy --eval" in command(other, "x", {})
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("trpo-pid", {"normalize_observations": True}),
+        ("focops", {"standardize_cost_advantages": False}),
+        ("ppo-lag", {"streak_limit": 3.0, "streak_alpha": 0.25, "normalize_observations": True}),
+    ],
+)
+def test_what_is_true_or_false_is_a_flag(name, changes, tmp_path, monkeypatch):
+    """The command is read as `main` reads it; instead of a training there is its configuration."""
+    own = replace(preset(name, "Circle2D-1-v0"), **changes)
+    config = TrainConfig(name, ("Circle2D-1-v0",), (4,), 150, own)
+    read = []
+
+    def noted(given, *_, **__):
+        read.append(given)
+        raise UserError("enough")
+
+    monkeypatch.setattr(api, "train_config", noted)
+    assert main(shlex.split(command(config, str(tmp_path / "x"), {}))[1:]) == 2
+    assert read == [config]
 
 
 def test_the_command_imports_what_registers_algorithm_and_task():
