@@ -187,7 +187,7 @@ def _card(
     task, name = next(iter(policies.values())).task, title(config.algorithm)
     spaces, versions = read_spaces(folder), recorded.get("versions") or {}
     wraps = hasattr(config.hyperparameters, "wrap")  # as a limit of the longest streak, Sauté
-    seen = "as `agents.load_policy(...).wrap(env)` gives it" if wraps else "as the task gives it"
+    added = ", behind it what `agents.load_policy(...).wrap(env)` adds, if anything" * wraps
     bounds = ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(spaces.low, spaces.high, strict=True))
     parameters = f" with {config.task_parameters}" if config.task_parameters else ""
     facts = {
@@ -198,7 +198,7 @@ def _card(
         "commit": _commit(recorded),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "trained by": f"`{command(config, 'runs', recorded)}`",
-        "observation": f"float32 [N, {spaces.observation_size}], {seen}",
+        "observation": f"float32 [N, {spaces.observation_size}], as the task gives it{added}",
         "action": f"float32 [N, {len(spaces.low)}], in {bounds}; without noise",
     }
     rows = "\n".join(f"| {name} | {text} |" for name, text in facts.items() if text)

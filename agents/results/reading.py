@@ -252,7 +252,7 @@ def _read_run(training: Training, run: RunId, cost: str, window: int | None) -> 
     if f"{run.prefix}failure" in arrays:
         raise UserError(str(arrays[f"{run.prefix}failure"]))
     if f"{run.prefix}length" not in arrays:
-        raise UserError("has no checkpoint yet")
+        raise UserError("has no recorded episodes")
     records = run_records(arrays, run, cost)
     if records.total_steps < config.steps:
         raise UserError(f"unfinished: {records.total_steps} of {config.steps} steps")

@@ -85,7 +85,7 @@ def test_a_run_killed_before_its_first_epoch_hides_no_other(runs, tmp_path):
         expected = runs.to_pandas(rows).assign(folder="whole")
         pandas.testing.assert_frame_equal(both.to_pandas(rows), expected)
         assert agents.load_runs(tmp_path / "killed").to_pandas(rows).empty
-    with pytest.warns(UserWarning, match="killed, seed 5: has no checkpoint yet"):
+    with pytest.warns(UserWarning, match="killed, seed 5: has no recorded episodes"):
         assert both.to_pandas().equals(runs.to_pandas().assign(folder="whole"))
 
 

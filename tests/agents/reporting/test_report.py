@@ -86,7 +86,7 @@ def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
     edit_results(tmp_path, **changes)
     words = markdown(table(tmp_path))
     assert [line for line in words.splitlines() if "left out" in line] == [
-        f"Note: left out: {tmp_path.name}, seed 1: has no checkpoint yet",
+        f"Note: left out: {tmp_path.name}, seed 1: has no recorded episodes",
         f"Note: left out: {tmp_path.name}, seeds 2, 3: unfinished: 80 of 100 steps",
         f"Note: left out: {tmp_path.name}, seed 4: it fell",
     ]
