@@ -15,6 +15,7 @@ from agents.errors import UserError
 
 MOST = 2**40
 """Largest integer where a field names no other."""
+TOO_LARGE = f"at most {MOST}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,10 +103,13 @@ def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
         return _no_number(value, hint, bounds or In())
     if get_origin(hint) is tuple and arguments[1:] == (...,) and arguments[0] in (int, float):
         each = "integers" if arguments[0] is int else "numbers"
-        inside = isinstance(value, tuple) and value
         rule = f", each {bounds}" if bounds else ""
-        allowed = inside and not any(_problem(part, arguments[0], bounds) for part in value)
-        return "" if allowed else f"a tuple of {each}{rule}"
+        if isinstance(value, tuple) and value:
+            problems = {_problem(part, arguments[0], bounds) for part in value} - {""}
+            if not problems:
+                return ""
+            rule = f", each {TOO_LARGE}" if TOO_LARGE in problems else rule
+        return f"a tuple of {each}{rule}"
     return ""
 
 
@@ -120,5 +124,5 @@ def _no_number(value: Any, kind: type, bounds: In) -> str:
     if not finite:
         return "a finite number"
     if kind is int and bounds.high == math.inf and value > MOST:
-        return f"at most {MOST}"
+        return TOO_LARGE
     return "" if value in bounds else str(bounds)

@@ -32,7 +32,7 @@ import numpy as np
 
 from agents import presets
 from agents.algorithms import ALGORITHMS, algorithm, module_of
-from agents.checks import In, Settings
+from agents.checks import MOST, In, Settings
 from agents.errors import UserError
 from agents.lockstep.kernel import Backend
 from agents.lockstep.noise import stream_seed
@@ -164,8 +164,8 @@ class TrainConfig(Settings):
                 raise UserError(f"{name} must be a tuple of {kind.__name__}, got {values!r}")
             if not values or len(set(values)) < len(values):
                 raise UserError(f"{name} must be different, at least one, got {values}")
-        if not all(0 <= seed < 2**63 for seed in self.seeds):
-            raise UserError(f"seeds must be in [0, 2**63), got {self.seeds}")
+        if min(self.seeds) < 0:
+            raise UserError(f"seeds must be in [0, {MOST}], got {self.seeds}")
         if not isinstance(self.task_parameters, dict):
             raise UserError(f"task_parameters must be values by name, got {self.task_parameters!r}")
         object.__setattr__(self, "task_parameters", as_stored(self.task_parameters))

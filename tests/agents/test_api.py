@@ -306,6 +306,8 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
         ({"seeds": "ab"}, "seeds must be a tuple of integers, got .'a', 'b'"),
+        ({"seeds": 2**41}, "seeds must be a tuple of integers, each at most 1099511627776, got"),
+        ({"seeds": [3, -1]}, r"seeds must be in \[0, 1099511627776\], got \(3, -1\)"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
         ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
