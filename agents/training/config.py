@@ -31,7 +31,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from agents import presets
-from agents.algorithms import ALGORITHMS, algorithm, module_of
+from agents.algorithms import ALGORITHMS, BUILT_IN, algorithm, module_of
 from agents.checks import MOST, In, Settings
 from agents.errors import UserError
 from agents.lockstep.kernel import Backend
@@ -197,11 +197,17 @@ class TrainConfig(Settings):
         return tuple(name for name in self.costs if name not in self._added)
 
     def wrap(self, env: Any, task: str) -> Any:
-        """An Env or a VectorEnv, which need not reset itself, as the policies of a task see it."""
+        """An Env or a VectorEnv, which need not reset itself, as the policies of a task see it.
+        Raises UserError where a built-in algorithm cannot add to its observations."""
         if not hasattr(self.hyperparameters, "wrap"):
             return env
         limit = time_limit(task, self.task_parameters)
-        return self.hyperparameters.wrap(env, self.costs, limit)
+        try:
+            return self.hyperparameters.wrap(env, self.costs, limit)
+        except TypeError as error:
+            if self.algorithm not in BUILT_IN:
+                raise
+            raise UserError(f"{self.algorithm} on task {task!r}: {error}") from error
 
     @property
     def runs(self) -> list[RunId]:

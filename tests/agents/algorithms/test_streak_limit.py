@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 from small_trainings import assert_same, finished, of_run, small, trainer
-from toys import register
+from toys import Walk, register, registered
 
 import agents
 from agents.algorithms import algorithm
@@ -152,6 +153,24 @@ def test_settings_that_are_not_allowed(tmp_path):
             agents.train(name, streak_limit=3.0, streak_alpha=0.5, **out)
     with pytest.raises(UserError, match=r"streak_weight must be 0 .*, got 0\.25"):
         agents.train("sac-lb-streak", streak_limit=3.0, **out)
+
+
+class Counts(Walk):
+    """A walk whose observations are whole numbers."""
+
+    observation_space = Box(0, 9, (2,), np.int64)
+
+    def observation(self):
+        return np.zeros(2, np.int64)
+
+
+@pytest.mark.parametrize("name", ["ppo-lag", "sac-lb", "ppo-saute"])
+def test_whole_numbers_have_no_place_for_more(tmp_path, name):
+    limit = {"saute_discount": 1.0} if name == "ppo-saute" else {"streak_limit": 3.0}
+    message = f"{name} on task 'Counts-v0': observe needs a flat Box of floats"
+    with registered(Counts=Counts), pytest.raises(UserError, match=message):
+        agents.train(name, "Counts-v0", steps=100, out=tmp_path / "x", **limit)
+    assert not list(tmp_path.iterdir())
 
 
 # Off-policy: one episode an epoch, a replay, and critics of the discounted record cost.
