@@ -27,7 +27,7 @@ from agents.reporting.tables import (
 )
 from agents.results.groups import Group, RunResult
 from agents.results.measures import measure, measures
-from agents.results.names import by_task, hyperparameter_changes, unusual_steps
+from agents.results.names import by_task, hyperparameter_changes
 from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, pairs_over_tasks
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc.panels import emcc_of_thirds
@@ -191,7 +191,7 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
         complete = [group for group in own if group.runs]
         marked |= {(len(rows) + k, m) for k, m in _nearest(complete, own[0].printed)}
         for group in complete:
-            words_of = [task, title(name), _choice(group), *unusual_steps(group.total_steps, task)]
+            words_of = [task, title(name), _choice(group), *group.length]
             rows.append(mean_row(group, ", ".join(words_of)))
         if own[0].printed:
             rows.append(printed_row(f"{task}, {title(name)}", own[0]))
@@ -230,8 +230,7 @@ def parts_over_tasks(choices: Choices) -> Table | None:
     named = []
     for usual, *others in choices:
         for other in others:
-            words = [_choice(other), *unusual_steps(other.total_steps, other.task)]
-            words += [other.apart, other.where]
+            words = [_choice(other), *other.length, other.apart, other.where]
             name = f"B - A: {', '.join(filter(None, words))} - preset"
             named.append((name, (usual, other)))
     return differences_over_tasks(pairs_over_tasks(named))

@@ -74,7 +74,7 @@ class Sides(NamedTuple):
             of_cost = [a for a in self.a if a.cost == b.cost]
             same = [a for a in of_cost if _settings(a) == _settings(b)]
             pairs += [(a, b) for a in same or of_cost]
-        return {_name(*pair): pair for pair in pairs}
+        return {_name(a.name, b.name): (a, b) for a, b in pairs}
 
 
 def compare(
@@ -125,8 +125,9 @@ def compare(
     for task, both in by_task.items():
         for name, groups in zip("AB", both, strict=True):
             lines += group_lines(groups, f"{name}: ")
-        for name in both.pairs:
-            lines += difference_lines(task, name, tested[task, name])
+        for name, (one, other) in both.pairs.items():
+            called = _name(one.full_name, other.full_name)
+            lines += difference_lines(task, called, tested[task, name])
     for (name, tasks, _), told in over_tasks.items():
         lines += difference_lines(tasks, name, only(asked, told))
     write_whole(out / "compare.csv", numbers_csv(lines))
@@ -177,9 +178,8 @@ def _settings(group: Group) -> tuple[str, dict[str, Any]]:
     return group.config.algorithm, changes(group.config, group.task)
 
 
-def _name(a: Group, b: Group) -> str:
-    titles = [group.name for group in (b, a)]
-    return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
+def _name(a: str, b: str) -> str:
+    return f"B - A: {a if a == b else f'{b} - {a}'}"
 
 
 def _too_few(task: str, sides: Sides, number_of_tests: int) -> list[str]:

@@ -57,7 +57,7 @@ def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
     """The means of each group with their intervals and its shares, then its runs."""
     for group in groups:
-        about = {"task": group.task, "algorithm": prefix + group.name, "folder": group.folder}
+        about = {"task": group.task, "algorithm": prefix + group.full_name, "folder": group.folder}
         if group.runs:
             means = {m.name: group_mean(group, m.name) for m in measures()}
             yield from _interval_lines(about, "mean", means, len(group.runs))

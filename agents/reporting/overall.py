@@ -15,7 +15,7 @@ from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, corrected, number, p_head, p_number
 from agents.reporting.tables import difference_rows
 from agents.results.groups import Group, RunResult
-from agents.results.names import by_task, changes, in_order
+from agents.results.names import by_task, changes, in_order, titled
 from agents.results.statistics import (
     ACROSS_WORDS,
     LEVEL,
@@ -159,7 +159,7 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     algorithms are left to the table of ranks.
     """
     columns = common_measures()
-    cells = on_every_task(of_presets(groups), lambda group: group.variant)
+    cells = on_every_task(of_presets(groups), lambda g: titled(g.config.algorithm, g.length))
     runs = {name: on_common_seeds(list(own.values()), FEWEST_RUNS) for name, own in cells.items()}
     runs = {name: values for name, values in runs.items() if values}
     tasks = len(tasks_of(cells))

@@ -18,6 +18,7 @@ from agents.results.names import (
     changes,
     in_order,
     setting,
+    unusual_steps,
 )
 from agents.results.recorded import Recorded
 from agents.results.statistics import (
@@ -120,10 +121,13 @@ def caption(groups: Sequence[Group]) -> str:
             '"through": as many cost steps as the shortest way through the region takes, or more, '
             '"round": fewer; '
         )
+    of = [group for group in groups if group.one_length and group.runs]
+    left_out = dict.fromkeys(word for g in of for word in unusual_steps(g.total_steps, g.task))
+    length = f"trainings of {' or '.join(left_out)}; " if left_out else ""
     return (
-        f"EMCC: alpha = {_emcc(groups)}; J_R, J_C, CVaR: {_evaluated_by(groups)}; {notes}mean "
-        f"{INTERVALS}; within limit: seeds whose J_C is at most the cost limit; counts of seeds "
-        "[95 % Clopper-Pearson interval of the share]"
+        f"{length}EMCC: alpha = {_emcc(groups)}; J_R, J_C, CVaR: {_evaluated_by(groups)}; {notes}"
+        f"mean {INTERVALS}; within limit: seeds whose J_C is at most the cost limit; counts of "
+        "seeds [95 % Clopper-Pearson interval of the share]"
     )
 
 
@@ -144,6 +148,8 @@ def caption_in_paper(groups: Sequence[Group]) -> str:
         kinds = [f"fewer than {FEWEST_RUNS} seeds"] * few
         kinds += ["seeds that end in different places"] * (not all(enough))
         words += f" or, of {' and of '.join(kinds)}," * any(enough) + " (lowest, highest)"
+    if len(steps := {group.total_steps for group in groups}) == 1:  # else names have them
+        words += f"; trainings of {steps.pop():,} steps"
     words += f"; EMCC: thirds of training, α = {_emcc(groups)}; J_R, J_C: {_evaluated_by(groups)}"
     return words + f"; cost limit {' or '.join(f'{d:g}' for d in limits)}" * bool(limits)
 

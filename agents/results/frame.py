@@ -48,7 +48,7 @@ def rows(groups: Sequence[Group]) -> Iterator[tuple[Any, ...]]:
     """`COLUMNS` of each run and measure: what every table has the means of.
 
     source: "runs", or the publication whose numbers these are. group: number of the group, for
-    group-bys. name: of the algorithm with its settings, as tables have it. settings: those that are
+    group-bys. name: of the algorithm with its settings and length. settings: those that are
     not the preset's, in words. cost: that the measures are of; limit: of it, None for an algorithm
     that does not limit it. steps: that the run took. ends_in: where most evaluated episodes end,
     empty for a task without named places. measure: its name, without the part: "rate" is the cost
@@ -59,7 +59,7 @@ def rows(groups: Sequence[Group]) -> Iterator[tuple[Any, ...]]:
     """
     every = measures(shown=False)
     for number, group in enumerate(groups):
-        about = (number, group.name, group.task, group.config.algorithm, group.settings)
+        about = (number, group.full_name, group.task, group.config.algorithm, group.settings)
         about = (*about, group.cost, group.limit, group.folder)
         for run in group.runs:
             own = ("runs", *about, run.seed, run.total_steps, run.place)

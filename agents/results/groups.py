@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
 from agents.results import recorded
-from agents.results.names import title_of, titled, unusual_settings
+from agents.results.names import title_of, titled, unusual_settings, unusual_steps
 from agents.results.recorded import Recorded
 from agents.training import derive
 from agents.training.config import CONFIG, RESULTS, TrainConfig, file_name
@@ -263,6 +264,8 @@ class Group:
     """The publication that prints them, by name, and its number of runs."""
     where: str = ""
     """The folder, where another group has its settings: see `names.with_names`."""
+    one_length: bool = False
+    """Whether the runs that it is shown beside on a task have one length, which names leave out."""
 
     @property
     def title(self) -> str:
@@ -277,13 +280,26 @@ class Group:
     @property
     def settings(self) -> str:
         """The settings that are not the usual ones, in words."""
-        words = unusual_settings(self.config, self.task, self.total_steps)
+        words = unusual_settings(self.config, self.task)
+        words += unusual_steps(self.total_steps, self.task)
         return ", ".join(filter(None, [*words, self.apart]))
 
     @property
+    def length(self) -> list[str]:
+        """Its number of steps in words, where a name has to have it."""
+        return [] if self.one_length else unusual_steps(self.total_steps, self.task)
+
+    @property
     def name(self) -> str:
-        """The algorithm with its settings, as tables have it."""
-        return titled(self.config.algorithm, [self.settings, self.where])
+        """The algorithm with its settings, as tables and figures have it."""
+        settings = unusual_settings(self.config, self.task)
+        return titled(self.config.algorithm, [*settings, *self.length, self.apart, self.where])
+
+    @property
+    def full_name(self) -> str:
+        """The name with the number of steps, unless it is the usual one, as files of numbers have
+        it."""
+        return dataclasses.replace(self, one_length=False).name
 
     @property
     def seeds(self) -> list[int]:

@@ -23,16 +23,23 @@ def with_names(groups: Sequence[Group], among: Sequence[Group] | None = None) ->
 
     An unregistered algorithm has no preset to compare with: it is named by the hyper-parameters in
     which its groups differ (among: all of them, by default these). Groups of one title on one task
-    are named by their folders too.
+    are named by their folders too. Where all runs on each task (of `among`) have one length, no
+    name has it.
     """
+    among = groups if among is None else among
+    lengths: dict[str, set[int]] = {}
+    for group in (group for group in among if group.runs):
+        lengths.setdefault(group.task, set()).add(group.total_steps)
+    one_length = all(len(own) == 1 for own in lengths.values())
     keys = [(group.task, group.cost, group.variant) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
     named = []
     for key, group in zip(keys, groups, strict=True):
-        words = [*_varied(group, groups if among is None else among), group.apart]
+        words = [*_varied(group, among), group.apart]
         where = f"in {group.title}" if count[key] > 1 else ""
         apart = ", ".join(filter(None, words))
-        named.append(dataclasses.replace(group, apart=apart, where=where))
+        told = {"apart": apart, "where": where, "one_length": one_length}
+        named.append(dataclasses.replace(group, **told))
     return named
 
 
@@ -53,16 +60,16 @@ def titled(algorithm: str, words: Iterable[str]) -> str:
 def title_of(config: TrainConfig, task: str, steps: int | None = None) -> str:
     """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
     asked for."""
-    return titled(config.algorithm, unusual_settings(config, task, steps))
+    words = unusual_settings(config, task) + unusual_steps(steps or config.steps, task)
+    return titled(config.algorithm, words)
 
 
-def unusual_settings(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
-    """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
-    an unregistered algorithm no hyper-parameter: see `with_names`."""
+def unusual_settings(config: TrainConfig, task: str) -> list[str]:
+    """Each setting of `changes` in words; of an unregistered algorithm no hyper-parameter: see
+    `with_names`."""
     known = config.algorithm in ALGORITHMS
     changed = changes(config, task) if known else config.task_parameters
-    words = [setting(name, value) for name, value in changed.items()]
-    return words + unusual_steps(steps or config.steps, task)
+    return [setting(name, value) for name, value in changed.items()]
 
 
 def setting(name: str, value: Any) -> str:

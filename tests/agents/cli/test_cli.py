@@ -47,10 +47,10 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
     assert err == ""
     names = re.findall(r"^\| (SAC-Lag.*?) +\|", out, re.MULTILINE)
     assert names == [
-        "SAC-Lag (random_steps 150, 300 steps), mean of 2",
+        "SAC-Lag (random_steps 150), mean of 2",
         "SAC-Lag, paper (3 seeds)",
-        "SAC-Lag (random_steps 150, 300 steps), seed 0",
-        "SAC-Lag (random_steps 150, 300 steps), seed 1",
+        "SAC-Lag (random_steps 150), seed 0",
+        "SAC-Lag (random_steps 150), seed 1",
     ]
     assert [row["seed"] for row in lines_of(folder / "report.csv") if row["seed"]] == ["0", "1"]
     assert share_done(folder) == 1.0

@@ -26,9 +26,8 @@ def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
 
 
 def rows(words):
-    """Cells by the row's name, which here says of most runs that they took 100 steps, and of p
-    values for how many tests they are corrected."""
-    words = re.sub(r"p, corrected for \d+ \(Holm\)", "p", words.replace(" (100 steps)", ""))
+    """Cells by the row's name, which says of p values for how many tests they are corrected."""
+    words = re.sub(r"p, corrected for \d+ \(Holm\)", "p", words)
     return {row[0]: row[1:] for row in cells(words)}
 
 
@@ -128,7 +127,7 @@ def test_over_tasks_few_runs_decide(tmp_path):
     out = tmp_path / "out"
     tables = compare(tmp_path / "a", tmp_path / "b", out)
     assert len(tables) == 3
-    name = "B - A: CPO (100 steps) - TRPO-Lag (100 steps)"
+    name = "B - A: CPO - TRPO-Lag"
     difference, p, better = tables[-1].rows
     assert tables[-1].head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
     names = [f"{name}, 2 tasks, 3 seeds against 3", "p, corrected for 4 (Holm)", "P(B better)"]

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from small_runs import cells, edit_results, lines_of, write_evaluated
+from small_runs import cells, edit_results, evaluate, lines_of, write_evaluated, write_runs
 
+from agents import plot
 from agents.presets import preset_with
 from agents.reporting.compare import compare
 from agents.reporting.report import report
@@ -50,6 +51,30 @@ def test_lengths_are_shown_where_they_differ(tmp_path, early):
         if early:
             at = head.index("length (steps)")
             found = {row[0].removeprefix("A: ").removeprefix("B: "): row[at] for row in rows}
-            assert found["CPO (100 steps), seed 0"] == "3.5"
-            assert found["CPO (100 steps), mean of 2"].startswith("3.5")
-            assert found["TRPO-Lag (100 steps), seed 1"] == "10.0"
+            assert found["CPO, seed 0"] == "3.5"
+            assert found["CPO, mean of 2"].startswith("3.5")
+            assert found["TRPO-Lag, seed 1"] == "10.0"
+
+
+@pytest.mark.parametrize("differ", [True, False])
+def test_names_have_the_number_of_steps_only_where_it_differs(tmp_path, differ):
+    """One that all on a task have is said once, in the caption; files of numbers always have it."""
+    write_evaluated(tmp_path / "a", "cpo", (2, 3))
+    if differ:
+        write_runs(tmp_path / "b", task=TASK)
+        evaluate(tmp_path / "b")
+    else:
+        write_evaluated(tmp_path / "b", "sac-lag", (2, 3))
+    report(tmp_path)
+    plot(tmp_path, out=tmp_path / "curves.svg")
+    names = ["CPO (100 steps)", "SAC-Lag (120 steps)"] if differ else ["CPO", "SAC-Lag"]
+    told = (tmp_path / "report.md").read_text()
+    means = [row[0] for row in cells(told) if row[0].endswith(", mean of 2")][:2]
+    assert means == [f"{name}, mean of 2" for name in names]
+    assert (told.count("trainings of 100 steps; "), told.count("(100 steps)") > 0) == (
+        (0, True) if differ else (1, False)
+    )
+    shown = (tmp_path / "curves.svg").read_text()
+    assert all(f">{name}</text>" in shown for name in names)
+    written = {line["algorithm"] for line in lines_of(tmp_path / "report.csv")}
+    assert "CPO (100 steps)" in written

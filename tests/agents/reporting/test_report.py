@@ -112,14 +112,14 @@ def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
         write_evaluated(tmp_path / "runs" / folder, name, costs=(1, 2))
     text = markdown(report(tmp_path / "runs").blocks)
     names = [row[0] for row in cells(text)]
-    ours = [name for name in names if "100 steps" in name]
+    ours = [name for name in names if re.search("mean of|seed ", name)]
     for folder in ("first", "second"):
-        label = f"CPO (100 steps, in runs/{folder})"
+        label = f"CPO (in runs/{folder})"
         assert {f"{label}, mean of 2", f"{label}, seed 0", f"{label}, seed 1"} <= set(ours)
         assert label in (tmp_path / "runs" / "index.html").read_text()
-    assert "TRPO-Lag (100 steps), seed 0" in ours
+    assert "TRPO-Lag, seed 0" in ours
     assert len(set(ours)) == len(ours) == 9
-    assert "CPO (100 steps), mean of 2" in markdown(table(tmp_path / "runs" / "first"))
+    assert "CPO, mean of 2" in markdown(table(tmp_path / "runs" / "first"))
 
 
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")

@@ -56,8 +56,9 @@ def test_every_label_has_the_steps_taken(tmp_path):
     report(tmp_path / "all")
     for name in ("report.md", "report.csv", "report.tex", "index.html"):
         words = (tmp_path / "all" / name).read_text()
-        assert "(100 steps)" in words
+        assert "100 steps" in words
         assert "75 steps" not in words
+        assert ("(100 steps)" in words) == name.endswith(".csv")  # a length that all have: once
     assert "unequal length" not in (tmp_path / "all" / "report.md").read_text()
     names = {line["algorithm"] for line in lines_of(tmp_path / "all" / "report.csv")}
     assert {"PPO-Lag (100 steps)", "SAC-Lag (100 steps)"} <= names
