@@ -43,7 +43,8 @@ class ReportOptions(Settings):
 
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives. All go into
-    one report, such as your runs beside results/circle2d/runs.zip/Circle2D-1-v0."""
+    one report, such as your runs beside results/circle2d/runs.zip/Circle2D-1-v0; of one training
+    each, in the order given."""
     archive: Path | None = None
     """Archive to write, with all that the report needs; `circle2d report FILE` makes the report
     from it."""

@@ -266,6 +266,8 @@ class Group:
     """The folder, where another group has its settings: see `names.with_names`."""
     one_length: bool = False
     """Whether the runs that it is shown beside on a task have one length, which names leave out."""
+    place: int | None = None
+    """Among folders that were given one by one, whose order tables and figures keep."""
 
     @property
     def title(self) -> str:

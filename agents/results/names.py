@@ -100,9 +100,14 @@ def hyperparameter_changes(config: TrainConfig, task: str) -> dict[str, Any]:
 
 
 def in_order(groups: Iterable[Group]) -> list[Group]:
-    """Groups in the order of the algorithms."""
+    """Groups in the order in which their folders were given, or else in that of the algorithms."""
     order = {name: index for index, name in enumerate(ALGORITHMS)}
-    return sorted(groups, key=lambda group: order.get(group.config.algorithm, len(order)))
+
+    def place(group: Group) -> int:
+        of_algorithm = order.get(group.config.algorithm, len(order))
+        return of_algorithm if group.place is None else group.place
+
+    return sorted(groups, key=place)
 
 
 def by_task(groups: Iterable[Group]) -> dict[str, list[Group]]:

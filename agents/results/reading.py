@@ -90,7 +90,10 @@ def read_groups(
     notes[:] = dict.fromkeys(notes)  # of several costs once
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
-    return _pooled(groups, notes)
+    pooled = _pooled(groups, notes)
+    if len(sources) == len(paths) > 1:  # a training each
+        return [replace(group, place=place) for place, group in enumerate(pooled)]
+    return pooled
 
 
 def read_folder(path: Path, name: str) -> list[Group]:

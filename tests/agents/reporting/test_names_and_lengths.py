@@ -1,5 +1,7 @@
 """Settings of many values in names, and the length of episodes."""
 
+import re
+
 import numpy as np
 import pytest
 from small_runs import cells, edit_results, evaluate, lines_of, write_evaluated, write_runs
@@ -78,3 +80,20 @@ def test_names_have_the_number_of_steps_only_where_it_differs(tmp_path, differ):
     assert all(f">{name}</text>" in shown for name in names)
     written = {line["algorithm"] for line in lines_of(tmp_path / "report.csv")}
     assert "CPO (100 steps)" in written
+
+
+@pytest.mark.parametrize("one_by_one", [True, False])
+def test_folders_that_are_given_one_by_one_keep_their_order(tmp_path, one_by_one):
+    """Those below a folder, whose order nobody gave, stand in that of the algorithms."""
+    given = ["wcsac", "cpo", "trpo-lag"]
+    folders = [tmp_path / "runs" / name for name in given]
+    for folder in folders:
+        write_evaluated(folder, folder.name, (2, 3))
+    shown = folders if one_by_one else [tmp_path / "runs"]
+    tables = report(*shown, out=tmp_path / "out").blocks
+    plot(*shown, out=tmp_path / "curves.svg")
+    expected = ["WCSAC", "CPO", "TRPO-Lag"] if one_by_one else ["TRPO-Lag", "CPO", "WCSAC"]
+    means = [row[0] for row in cells(markdown(tables)) if row[0].endswith(", mean of 2")]
+    assert means == [f"{name}, mean of 2" for name in expected]
+    legend = re.findall(r">([\w-]+)</text>", (tmp_path / "curves.svg").read_text())
+    assert [name for name in legend if name in expected] == expected
