@@ -62,15 +62,23 @@ class Run:
         return self.failure or ("" if len(self.records) else "no finished trajectory")
 
 
-def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
+def read(
+    path: str | os.PathLike[str], threshold: float = 0.0, cost: str | None = None
+) -> EpisodeRecords:
     """Records of one training run, from a file or run folder as `python -m emcc` reads it.
 
-    threshold: a step that costs more is a cost step.
-    ValueError: several runs, one whose training failed on the way, something that cannot be
-    understood, or a threshold for a file with a row for each episode, which holds streaks instead
-    of costs of steps.
+    threshold: a step that costs more is a cost step. cost: the name of one of a run's several costs;
+    by default its first.
+    ValueError: several runs, one whose training failed on the way, no cost of that name, something
+    that cannot be understood, or a threshold for a file with a row for each episode, which holds
+    streaks instead of costs of steps.
     """
     runs = read_runs(Path(path), threshold)
+    names = dict.fromkeys(run.cost for run in runs)
+    if cost not in (None, *names):
+        there = ", ".join(filter(None, names)) or "one without a name"
+        raise ValueError(f"{path}: there is no cost {cost!r}; its costs: {there}")
+    runs = [run for run in runs if run.cost == (cost or runs[0].cost)]
     if len(runs) > 1:
         raise ValueError(f"{path}: one run is needed, but there are {len(runs)}")
     if runs[0].failure:  # thirds of what there is are none of the training's

@@ -287,6 +287,10 @@ def test_every_named_cost_has_records_of_its_own(tmp_path):
     assert runs["cost"].to_csv() == records_of(first).to_csv()
     assert runs["cost_2"].to_csv() == records_of(second).to_csv()
     assert runs["never"].longest_streak.max() == 0
+    assert emcc.read(folder).to_csv() == records_of(first).to_csv()
+    assert emcc.read(folder, cost="cost_2").to_csv() == records_of(second).to_csv()
+    with pytest.raises(ValueError, match="no cost 'c'; its costs: cost, cost_2, never"):
+        emcc.read(folder, cost="c")
     above = {run.cost: run.records for run in read_runs(folder, 3.0)}
     assert above["cost"].longest_streak.max() == 0
     assert above["cost_2"].to_csv() == records_of(second, 3.0).to_csv()
