@@ -164,6 +164,30 @@ def test_two_limits_on_two_costs(folder):
     assert replayed.startswith("PPO-Two") and "cost_2)" not in replayed
 
 
+def test_a_number_comes_to_its_cell_as_the_page_says(tmp_path):
+    """Its functions are called in its order, from a training to the table."""
+    listed = PAGE[PAGE.index("1. `circle2d_mj") : PAGE.index("## A study")]
+    named = re.findall(r"`([\w/]+\.py)`,\s+`([\w.]+)`", listed)
+    assert len(named) == listed.count(".py`") - 1  # that of archives has no function
+    called = []
+
+    def note(frame, event, argument):
+        file = Path(frame.f_code.co_filename)
+        if event == "call" and file.is_relative_to(ROOT):
+            name = frame.f_code.co_qualname
+            called.append((file.relative_to(ROOT).as_posix(), name.partition(".<locals>")[0]))
+
+    sys.setprofile(note)
+    try:
+        agents.train("trpo-lag", seeds=0, steps=500, out=tmp_path / "runs").table()
+    finally:
+        sys.setprofile(None)
+    calls = iter(called)
+    for step in named:
+        assert step in calls, f"{step} is not called behind the one before it"
+    assert "EMCC_0.33" in (tmp_path / "runs/report.md").read_text()
+
+
 def test_a_study_of_the_users_own(tmp_path):
     """The page's, on runs of CPO in the place of the page's algorithm."""
     write_evaluated(tmp_path / "runs", "cpo", costs=(1, 2))
