@@ -67,8 +67,8 @@ def read(
 ) -> EpisodeRecords:
     """Records of one training run, from a file or run folder as `python -m emcc` reads it.
 
-    threshold: a step that costs more is a cost step. cost: the name of one of a run's several costs;
-    by default its first.
+    threshold: a step that costs more is a cost step.
+    cost: the name of one of a run's several costs; by default its first.
     ValueError: several runs, one whose training failed on the way, no cost of that name, something
     that cannot be understood, or a threshold for a file with a row for each episode, which holds
     streaks instead of costs of steps.
