@@ -189,13 +189,17 @@ def test_a_number_comes_to_its_cell_as_the_page_says(tmp_path):
 
 
 def test_a_study_of_the_users_own(tmp_path):
-    """The page's, on runs of CPO in the place of the page's algorithm."""
-    write_evaluated(tmp_path / "runs", "cpo", costs=(1, 2))
+    """The page's, on runs of CPO in the place of the page's algorithm, beside TRPO-Lag's."""
+    write_evaluated(tmp_path / "runs/a", "cpo", costs=(1, 2))
+    write_evaluated(tmp_path / "runs/b", "trpo-lag", costs=(3, 3))
     (code,) = re.findall(r"```python\n([^`]*Study\n.*?)```", PAGE, re.DOTALL)
     exec(code.replace("sac-fixed", "cpo").replace("runs/fixed", str(tmp_path / "runs")), {})
     words = (tmp_path / "runs/report.md").read_text()
     (row,) = re.findall(r"\| CPO, book \(5 seeds\) .*", words)
     assert "-8.10" in row and "4.90" in row and "paper" not in words
+    assert "among the book's" in words
+    page = (tmp_path / "runs/index.html").read_text()
+    assert "cross: the book." in page and "cross: the paper" not in page
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.algorithms import ALGORITHMS
 from agents.results.groups import Group
 from agents.results.measures import Measure, measures
-from agents.results.names import by_task, in_order
+from agents.results.names import by_task, in_order, publications
 from agents.results.statistics import (
     INTERVALS,
     by_third,
@@ -306,8 +306,10 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
         content = svg_of(figure)
     words = (
         "A dot for each run. Black bar: mean over seeds, its line the 95 % t interval of five "
-        "seeds or more that end in one place; grey bar: interquartile mean; cross: the paper."
+        "seeds or more that end in one place; grey bar: interquartile mean"
     )
+    crosses = publications(group for own in tasks.values() for group in own)
+    words += f"; cross: {crosses}." if crosses else "."
     return Figure(content, "Every run", words)
 
 

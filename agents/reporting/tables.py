@@ -17,6 +17,7 @@ from agents.results.measures import Measure, measure, measures
 from agents.results.names import (
     changes,
     in_order,
+    publications,
     setting,
     unusual_steps,
 )
@@ -68,7 +69,9 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
     rows = mark(rows, best(others).union(*map(best, ours.values())))
     rows += [row for group in groups for row in run_rows(group)]
     words = f"{marking()}; among our means" + (
-        ", and among the paper's, of which J_C, a mean, is within the limit" if others else ""
+        f", and among {publications(groups)}'s, of which J_C, a mean, is within the limit"
+        if others
+        else ""
     )
     notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
     notes += [*_tails(groups), *_random(groups)]

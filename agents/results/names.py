@@ -110,6 +110,14 @@ def in_order(groups: Iterable[Group]) -> list[Group]:
     return sorted(groups, key=place)
 
 
+def publications(groups: Iterable[Group]) -> str:
+    """The publications that print numbers for some groups, in words: "the paper"; "" of none."""
+    names = (group.publication.partition(" (")[0] or "print" for group in groups if group.printed)
+    return " and ".join(
+        f"the {name}" if name[0].islower() else name for name in dict.fromkeys(names)
+    )
+
+
 def by_task(groups: Iterable[Group]) -> dict[str, list[Group]]:
     """Groups with complete runs by their task, in the order of the algorithms."""
     tasks: dict[str, list[Group]] = {}
