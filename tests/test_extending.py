@@ -197,9 +197,11 @@ def test_a_study_of_the_users_own(tmp_path):
     words = (tmp_path / "runs/report.md").read_text()
     (row,) = re.findall(r"\| CPO, book \(5 seeds\) .*", words)
     assert "-8.10" in row and "4.90" in row and "paper" not in words
-    assert "among the book's" in words
+    assert "among the book's" in words and "Return against cost" not in words
     page = (tmp_path / "runs/index.html").read_text()
     assert "cross: the book." in page and "cross: the paper" not in page
+    (figure,) = re.findall(r"Return against cost</h2>\s*<figure>.*?</figure>", page, re.DOTALL)
+    assert "svg" in figure and "A dot for each run.</figcaption>" in figure
 
 
 @pytest.mark.slow

@@ -87,8 +87,8 @@ class PlotOptions(Settings):
 
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives."""
-    measure: tuple[Literal["return", "cost", "emcc", "length"], ...] = ("return", "cost", "emcc")
-    """Measures of training's episodes to draw."""
+    measure: tuple[str, ...] = ("return", "cost", "emcc")
+    """Measures of training's episodes to draw: return, cost, emcc, length."""
     out: Path = Path("figure.pdf")
     """File to write, its suffix the format: .pdf, .svg, .png, or .pgf for LaTeX."""
     names: dict[str, str] = field(default_factory=dict)

@@ -124,7 +124,7 @@ class Paper(Study):
         """EMCC with all ties kept."""
         return {OTHER_TIES: ties_table(groups)}
 
-    def claims(self, groups: Sequence[Group]) -> list[Section]:
+    def sections(self, groups: Sequence[Group]) -> list[Section]:
         """The paper's claims with their verdicts: see `claims_sections`."""
         return claims_sections(groups)
 

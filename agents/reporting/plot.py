@@ -21,6 +21,7 @@ from agents.reporting.figures import (
     styles,
 )
 from agents.results.groups import Group
+from agents.results.measures import measures as registered
 from agents.results.names import by_task, with_names
 from agents.results.reading import LeftOut, read_groups
 from agents.results.statistics import INTERVALS, common_limit
@@ -76,7 +77,10 @@ def plot(
         raise UserError(f"out must end in {', '.join(SUFFIXES)}, got {str(out)!r}")
     check_file(out)
     if unknown := [name for name in measures if name not in MEASURES]:
-        raise UserError(f"measure {unknown[0]!r} cannot be drawn: {nearest(unknown[0], MEASURES)}")
+        words = f"measure {unknown[0]!r} cannot be drawn: {nearest(unknown[0], MEASURES)}"
+        if unknown[0] in [m.name for m in registered()]:
+            words += "; it is a number of a whole run, which the report's figure of every run has"
+        raise UserError(words)
     if not measures:
         raise UserError(f"plot needs a measure: {', '.join(MEASURES)}")
     notes: list[str] = []

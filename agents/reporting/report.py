@@ -37,7 +37,7 @@ class Report(NamedTuple):
     """A report that was written."""
 
     blocks: list[Block]
-    """Its main tables, and the verdicts on the study's claims."""
+    """Its main tables, and the statements of the study's sections."""
     left_out: list[LeftOut]
     """Folders, runs and pictures that it had to leave out, and why."""
     page: Path
@@ -66,7 +66,7 @@ def report(
     study = study or Study()
     groups = [*map(study.printed, with_names(read_groups(paths, notes, name, window)))]
     usual, apart = study.set_apart(groups)
-    claims = study.claims(groups)
+    own = study.sections(groups)
     pictures = _pictures(usual, notes)
     details = study.details(usual) | _details(usual, notes)
     over_tasks = tables_over_tasks(usual)
@@ -85,10 +85,10 @@ def report(
         write_archive(archive, groups)
     out.mkdir(parents=True, exist_ok=True)
     title = f"{heading(usual)} ({name_of_all(groups)})"
-    shown = [*claims, *together, *pictures.replay, *others]
+    shown = [*own, *together, *pictures.replay, *others]
     html = page(title, shown, made(groups), summary(usual), pictures.scenes)
     write_whole(out / "index.html", html)
-    verdicts = [section.statements_markdown() for section in claims]
+    verdicts = [section.statements_markdown() for section in own if section.statements]
     titled = [block for name, table in tables.items() for block in (f"## {plain(name)}\n", table)]
     _write_tables(out, [*verdicts, *titled, ENDING], groups)
     write_whole(out / "report.tex", latex(main, columns))
@@ -99,8 +99,8 @@ def report(
 def table(folder: Path, study: Study | None = None) -> list[Table]:
     """Write the tables of every folder of runs at or below a folder, without figures.
 
-    Writes `report.md`, `measures.csv` and `report.csv`, but into no archive, and gathers no claims.
-    Otherwise as `report`.
+    Writes `report.md`, `measures.csv` and `report.csv`, but into no archive, and without the
+    study's sections. Otherwise as `report`.
     """
     notes: list[str] = []
     study = study or Study()

@@ -28,6 +28,6 @@ class Study:
         """Tables of details, by title. groups: the usual ones."""
         return {}
 
-    def claims(self, groups: Sequence[Group]) -> list[Section]:
-        """Its claims, with verdicts by all groups."""
+    def sections(self, groups: Sequence[Group]) -> list[Section]:
+        """Figures, or claims with their verdicts, first on the page. groups: all of them."""
         return []

@@ -74,7 +74,11 @@ def test_mistakes_are_named_and_nothing_is_written(runs, tmp_path, capsys):
         (["--out", "a.jpg"], "out must end in .pdf, .svg, .png, .pgf, got 'a.jpg'"),
         (["--names", "CP", "x"], "names: no curve is called 'CP'"),
         (["--colours", "CPO", "rde"], "'rde' is no colour of matplotlib"),
-        (["--measure", "reward"], "measure"),
+        (["--measure", "reward"], "measure 'reward' cannot be drawn"),
+        (
+            ["--measure", "J_R"],
+            "valid are return, cost, emcc, length; it is a number of a whole run",
+        ),
     ):
         assert main(["plot", str(runs), "--out", str(tmp_path / "a.pdf"), *args]) == 2
         assert words in capsys.readouterr().err

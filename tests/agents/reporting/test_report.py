@@ -54,7 +54,7 @@ class Own(Study):
     def printed(self, group):
         return replace(group, printed={"J_R": 7.0}, publication="book (9 seeds)")
 
-    def claims(self, groups):
+    def sections(self, groups):
         verdict = f"of {len(groups)} groups"
         return [Section("Its claims", statements=[Statement("CPO learns", verdict, "", [])])]
 
@@ -68,7 +68,7 @@ def test_a_study_adds_to_a_report_and_the_closing_table_gathers_no_claims(tmp_pa
     assert "CPO, book (9 seeds)" in words
     assert "Of 1 groups" in words
     assert "Its claims" in written.page.read_text()
-    monkeypatch.setattr(Own, "claims", None)  # cannot be asked
+    monkeypatch.setattr(Own, "sections", None)  # cannot be asked
     assert "CPO, book (9 seeds)" in markdown(table(tmp_path, Own()))
 
 
