@@ -17,6 +17,7 @@ The whole entrance from Python:
 | `plot(*folders, out=...)` | learning curves for a paper: PDF, SVG, PNG, PGF |
 | `compare(a, b)` | two sets of runs side by side, with their differences |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
+| `use_study(study)` | show a study of your own in the place of the paper's |
 
 `on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
 agents` imports none of this: names are looked up when they are first used, and torch with them.
@@ -31,7 +32,8 @@ The subpackages and modules, lowest layer first; each imports only those before 
 - `training`: configuration, the trainer and its files, what is derived from them, policies
 - `results`: reading of trained runs, their measures, and one tidy frame of them
 - `reporting`: tables, figures, page
-- `paper`: the study of the paper: grid, printed numbers and claims, which reports are given
+- `paper`: the study of the paper: grid, printed numbers and claims
+- `studies`: the study that reports show, by default the paper's
 - `export`: policies as files for other programs
 - `runs`: runs on disk as Python objects
 - `zoo`: what the trained agents of the package reach
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from agents.api import compare, grid, plot, report, resume, sweep, train
     from agents.errors import UserError
     from agents.runs import Runs, load_runs
+    from agents.studies import use_study
     from agents.training.callbacks import Epoch
     from agents.training.policy import Evaluation, Policy, evaluate, load_policy, pretrained
     from agents.zoo import zoo
@@ -71,6 +74,7 @@ __all__ = (
     "resume",
     "sweep",
     "train",
+    "use_study",
     "zoo",
 )
 _HOMES = {
@@ -79,6 +83,7 @@ _HOMES = {
     "agents.errors": ("UserError",),
     "agents.zoo": ("zoo",),
     "agents.runs": ("Runs", "load_runs"),
+    "agents.studies": ("use_study",),
     "agents.training.callbacks": ("Epoch",),
     "agents.training.policy": ("Evaluation", "Policy", "evaluate", "load_policy", "pretrained"),
 }

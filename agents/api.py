@@ -306,22 +306,22 @@ def report(
     paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
     `train` returns. Folders that differ in their seeds alone count as one. Returns the main
     tables and the study's claims as Markdown. study: adds printed numbers, tables, figures and
-    claims of its own, by default the paper's. archive: a file to write, from which the report can
-    be made again. out: folder to write to, required with several paths; by default the runs' own,
-    for `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md` names them;
-    by default those that fit the width of a text. window: EMCC over windows of so many episodes in
-    place of rollouts, see `emcc.EpisodeRecords.windows`. Raises UserError where there are no
-    complete runs, or an archive is damaged.
+    claims of its own, by default that of `use_study`. archive: a file to write, from which the
+    report can be made again. out: folder to write to, required with several paths; by default the
+    runs' own, for `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md`
+    names them; by default those that fit the width of a text. window: EMCC over windows of so many
+    episodes in place of rollouts, see `emcc.EpisodeRecords.windows`. Raises UserError where there
+    are no complete runs, or an archive is damaged.
     """
-    from agents.paper.sections import STUDY
     from agents.reporting.report import report as write_report
     from agents.reporting.table import LATEX_COLUMNS, markdown
+    from agents.studies import used_study
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
     written = write_report(
         *folders_of(*paths),
-        study=study or STUDY,
+        study=study or used_study(),
         archive=file,
         out=folder,
         columns=LATEX_COLUMNS if columns is None else columns,

@@ -14,10 +14,10 @@ from torch import nn
 from agents.algorithms import title
 from agents.errors import UserError, extra
 from agents.lockstep.normalizer import CLIP, Normalized
-from agents.paper.evidence import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read_groups
+from agents.studies import used_study
 from agents.training.config import CONFIG, TrainConfig, file_name, read_spaces
 from agents.training.files import check_folder, read_json, write_whole
 from agents.training.policy import Policy, load_policy
@@ -244,7 +244,7 @@ def _results(folder: Path) -> str:
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]
-    return "\n".join([task_table([*map(printed, groups)]).markdown(), *words])
+    return "\n".join([task_table([*map(used_study().printed, groups)]).markdown(), *words])
 
 
 _FORMATS = {"safetensors": _write_safetensors, "onnx": _write_onnx}

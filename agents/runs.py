@@ -112,11 +112,11 @@ class Runs:
 
     def table(self) -> str:
         """The table that the command prints, as Markdown; written into the folder too."""
-        from agents.paper.sections import STUDY
         from agents.reporting.report import table
         from agents.reporting.table import markdown
+        from agents.studies import used_study
 
-        return "\n".join(markdown(table(folder, STUDY)) for folder in self.folders)
+        return "\n".join(markdown(table(folder, used_study())) for folder in self.folders)
 
     def to_pandas(self, rows: Rows = "measures") -> pandas.DataFrame:
         """The tidy frame that reports are made from: a row for each measure of each run.

@@ -22,6 +22,7 @@ LAYERS = (
     "results",
     "reporting",
     "paper",
+    "studies",
     "export",
     "runs",
     "zoo",

@@ -1,10 +1,11 @@
-"""The files and commands of the page on an algorithm, task and measure of one's own."""
+"""The files and commands of the page on an algorithm, task, measure and study of one's own."""
 
 import importlib.util
 import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 from itertools import product
 from pathlib import Path
@@ -19,8 +20,11 @@ from fault_common import forked
 from small_runs import write_evaluated
 
 import agents
+from agents import studies
 from agents.algorithms import _algorithms
 from agents.cli.main import main
+from agents.paper.sections import STUDY
+from agents.reporting.study import Study
 
 toys.register()
 ROOT = Path(__file__).parents[1]
@@ -45,8 +49,8 @@ def circle2d(folder, *args, status=0):
 @pytest.fixture
 def folder(tmp_path):
     """A folder with the page's files, outside the package."""
-    ((name, code),) = re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", PAGE, re.DOTALL)
-    (tmp_path / name).write_text(code)
+    for name, code in re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", PAGE, re.DOTALL):
+        (tmp_path / name).write_text(code)
     for path in (ROOT / "examples").glob("my_*.py"):
         shutil.copy(path, tmp_path)
     return tmp_path
@@ -188,20 +192,49 @@ def test_a_number_comes_to_its_cell_as_the_page_says(tmp_path):
     assert "EMCC_0.33" in (tmp_path / "runs/report.md").read_text()
 
 
-def test_a_study_of_the_users_own(tmp_path):
-    """The page's, on runs of CPO in the place of the page's algorithm, beside TRPO-Lag's."""
-    write_evaluated(tmp_path / "runs/a", "cpo", costs=(1, 2))
-    write_evaluated(tmp_path / "runs/b", "trpo-lag", costs=(3, 3))
-    (code,) = re.findall(r"```python\n([^`]*Study\n.*?)```", PAGE, re.DOTALL)
-    exec(code.replace("sac-fixed", "cpo").replace("runs/fixed", str(tmp_path / "runs")), {})
-    words = (tmp_path / "runs/report.md").read_text()
-    (row,) = re.findall(r"\| CPO, book \(5 seeds\) .*", words)
-    assert "-8.10" in row and "4.90" in row and "paper" not in words
+def test_a_study_of_the_users_own(folder):
+    """The page's, for CPO in the place of the page's algorithm, is in what every command writes,
+    and none needs the paper's, which cannot be imported here."""
+    write_evaluated(folder / "runs/a", "cpo", costs=(1, 2))
+    write_evaluated(folder / "runs/b", "trpo-lag", costs=(3, 3))
+    own = folder / "my_study.py"
+    own.write_text(own.read_text().replace("sac-fixed", "cpo"))
+    (folder / "no_paper.py").write_text("import sys\n\nsys.modules['agents.paper'] = None\n")
+    small = "--seeds 0 --steps 200 --episodes 2 --evaluation-episodes 2"
+    commands = ("report runs", "compare runs/a runs/b", "plot runs", f"train cpo --out t {small}")
+    commands = (*commands, f"grid cpo --out g --workers 1 {small}")
+    code = (
+        "import sys, no_paper\n"
+        "from agents.cli.main import main\n"
+        "for line in sys.argv[1:]:\n"
+        "    own = ('--import', 'no_paper', '--import', 'my_study')\n"
+        "    assert main([*line.split(), *own]) == 0, line\n"
+    )
+    python = [sys.executable, "-c", code, *commands]
+    subprocess.run(python, cwd=folder, check=True, timeout=240)
+    for name in ("runs", "t", "g"):
+        words = (folder / name / "report.md").read_text()
+        (row,) = re.findall(r"\| CPO, book \(5 seeds\) .*", words)
+        assert "-8.10" in row and "4.90" in row and "paper" not in words
+    words = (folder / "runs/report.md").read_text()
     assert "among the book's" in words and "Return against cost" not in words
-    page = (tmp_path / "runs/index.html").read_text()
+    page = (folder / "runs/index.html").read_text()
     assert "cross: the book." in page and "cross: the paper" not in page
     (figure,) = re.findall(r"Return against cost</h2>\s*<figure>.*?</figure>", page, re.DOTALL)
     assert "svg" in figure and "A dot for each run.</figcaption>" in figure
+
+
+def test_a_study_in_the_place_of_the_papers(tmp_path, monkeypatch):
+    """In Python too, where a report may still be given another."""
+    write_evaluated(tmp_path, "cpo", costs=(1, 2))
+    runs = agents.load_runs(tmp_path)
+    monkeypatch.setattr(studies, "_used", None)
+    assert "CPO, paper (3 seeds)" in runs.table()
+    agents.use_study(Study())
+    assert ", paper" not in runs.table() + agents.report(tmp_path)
+    assert "CPO, paper (3 seeds)" in agents.report(tmp_path, study=STUDY)
+    with pytest.raises(agents.UserError, match=r"as in use_study\(MyStudy\(\)\), got <class"):
+        agents.use_study(Study)
 
 
 @pytest.mark.slow

@@ -45,7 +45,8 @@ Imports = Annotated[
         name="import",
         metavar="MODULE",
         help="Python module to import first, from the current folder or installed, which registers "
-        "algorithms (agents.register), tasks (gymnasium.register) or measures. May be repeated.",
+        "algorithms (agents.register), tasks (gymnasium.register), measures or a study. May be "
+        "repeated.",
     ),
 ]
 """The option `--import`, of every command that may meet a user's own algorithms and tasks."""

@@ -38,8 +38,9 @@ from emcc.parts import ALPHA, PARTS
 
 @dataclass(frozen=True)
 class ReportOptions(Settings):
-    """Print the table of trained runs beside the paper's; write report.md, report.tex, report.csv,
-    measures.csv, and index.html with training curves and heat maps as well."""
+    """Print the table of trained runs beside the paper's, or those of a study that a module of
+    --import uses (agents.use_study); write report.md, report.tex, report.csv, measures.csv, and
+    index.html with training curves and heat maps as well."""
 
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives. All go into
@@ -63,14 +64,14 @@ class ReportOptions(Settings):
 
 def report(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status: 1 where runs had to be left out."""
-    from agents.paper.sections import STUDY
     from agents.reporting.report import report as write_report
+    from agents.studies import used_study
 
     options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
         written = write_report(
             *options.folders,
-            study=STUDY,
+            study=used_study(),
             archive=options.archive,
             out=options.out,
             columns=options.columns,

@@ -37,13 +37,11 @@ from agents.cli.options import (
 from agents.errors import OwnCodeError, UserError, traced
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
-from agents.paper import grid as papers
-from agents.paper.sections import STUDY
 from agents.presets import PresetName, preset, preset_with, with_hyperparameter
 from agents.reporting.report import report, table
-from agents.reporting.study import Study
 from agents.reporting.table import show, working
 from agents.runs import Runs
+from agents.studies import used_study
 from agents.training import callbacks, derive, evaluation, policy, trainer
 from agents.training import grid as grid_of
 from agents.training.callbacks import duration, share_done
@@ -164,7 +162,7 @@ def _finish(runs: Runs, after_epoch: AfterEpoch) -> int:
     status = 0
     for folder in runs.folders:
         try:
-            show(table(folder, STUDY), more=str(folder / "report.md"))
+            show(table(folder, used_study()), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
             status = max(status, no_table(error, "table"))
     return max(status, name_failures(zip(runs.folders, runs.configs, strict=True)))
@@ -396,14 +394,13 @@ def reproduce(args: Sequence[str]) -> int:
         if not source.exists() and archive_of(source) is None:
             raise UserError(f"beside {source}: there is no such folder or archive")
     configs = _configs(options)
-    return _run(options, configs, options.beside, STUDY)
+    return _run(options, configs, options.beside)
 
 
 def _run(
     options: ReproduceOptions | GridOptions,
     configs: Mapping[Path, TrainConfig],
     beside: Sequence[Path] = (),
-    study: Study | None = None,
 ) -> int:
     """Train a grid, or its part, and report it; returns the exit status."""
     out = options.out
@@ -429,7 +426,7 @@ def _run(
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            written = report(out, *beside, study=study, out=out)
+            written = report(out, *beside, study=used_study(), out=out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
         no_table(error, "report")
@@ -439,6 +436,8 @@ def _run(
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's trainings by folder."""
+    from agents.paper import grid as papers
+
     names = options.algorithms
     if names is None:
         names = tuple(ALGORITHMS) if options.benchmark else papers.PAPER_ALGORITHMS
@@ -478,6 +477,8 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _tasks(options: ReproduceOptions) -> Sequence[str]:
+    from agents.paper import grid as papers
+
     others = options.safety + (options.mujoco or options.levels != LEVELS)
     if options.benchmark and (others or options.ablations):
         raise UserError("benchmark has tasks of its own: of the options that choose, give tasks")
