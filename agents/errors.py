@@ -23,8 +23,8 @@ class UserError(ValueError):
 
 
 class OwnCodeError(UserError):
-    """An error of the user's own code: a task, an algorithm, a measure. The original error is its
-    `__cause__`. The command line shows its traceback and exits with status 1."""
+    """An error of the user's own code: a task, an algorithm, a measure, a study. The original
+    error is its `__cause__`. The command line shows its traceback and exits with status 1."""
 
     def __reduce__(self) -> Any:  # a cause is lost in the pickle of an exception
         cause = self.__cause__

@@ -15,6 +15,7 @@ from agents.algorithms import title
 from agents.errors import UserError, extra
 from agents.lockstep.normalizer import CLIP, Normalized
 from agents.reporting.provenance import command
+from agents.reporting.study import ask
 from agents.reporting.tables import task_table
 from agents.results.reading import read_groups
 from agents.studies import used_study
@@ -244,7 +245,8 @@ def _results(folder: Path) -> str:
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]
-    return "\n".join([task_table([*map(used_study().printed, groups)]).markdown(), *words])
+    printed = [ask(used_study().printed, group) for group in groups]
+    return "\n".join([task_table(printed).markdown(), *words])
 
 
 _FORMATS = {"safetensors": _write_safetensors, "onnx": _write_onnx}

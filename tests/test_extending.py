@@ -237,6 +237,22 @@ def test_a_study_in_the_place_of_the_papers(tmp_path, monkeypatch):
         agents.use_study(Study)
 
 
+def test_a_study_that_fails_is_named(folder):
+    """In one line, below its traceback; the training was done before."""
+    code = "import agents\nfrom agents.reporting.study import Study\n\n\nclass Bad(Study):\n"
+    code += "    def notes(self, groups):\n        return 1 / 0\n\n\nagents.use_study(Bad())\n"
+    (folder / "my_bad.py").write_text(code)
+    write_evaluated(folder / "runs", "cpo", costs=(1, 2))
+    done = circle2d(folder, "report", "runs", "--import", "my_bad", status=1)
+    assert "Traceback" in done.err
+    last = done.err.splitlines()[-1]
+    assert last.startswith("circle2d: Bad.notes of the study failed: ZeroDivisionError")
+    small = ("--seeds", "0", "--steps", "200", "--episodes", "2", "--evaluation-episodes", "2")
+    done = circle2d(folder, "train", "cpo", "--out", "t", *small, "--import", "my_bad", status=1)
+    assert "no table: Bad.notes of the study failed" in done.err
+    assert (folder / "t/results.npz").exists()
+
+
 @pytest.mark.slow
 def test_an_algorithm_of_the_users_own(folder):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""

@@ -19,7 +19,7 @@ from agents.reporting.numbers import measures_csv, numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
-from agents.reporting.study import Study
+from agents.reporting.study import Study, ask
 from agents.reporting.table import LATEX_COLUMNS, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.archive import write_archive
@@ -64,11 +64,12 @@ def report(
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
     study = study or Study()
-    groups = [*map(study.printed, with_names(read_groups(paths, notes, name, window)))]
-    usual, apart = study.set_apart(groups)
-    own = study.sections(groups)
+    read = with_names(read_groups(paths, notes, name, window))
+    groups = [ask(study.printed, group) for group in read]
+    usual, apart = ask(study.set_apart, groups)
+    own = ask(study.sections, groups)
     pictures = _pictures(usual, notes)
-    details = study.details(usual) | _details(usual, notes)
+    details = ask(study.details, usual) | _details(usual, notes)
     over_tasks = tables_over_tasks(usual)
     main = _task_tables(usual, study, notes) | apart | over_tasks  # with all notes: the last
     tables = main | details
@@ -104,8 +105,8 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
     """
     notes: list[str] = []
     study = study or Study()
-    groups = [*map(study.printed, with_names(read_groups([folder], notes)))]
-    usual, apart = study.set_apart(groups)
+    groups = [ask(study.printed, group) for group in with_names(read_groups([folder], notes))]
+    usual, apart = ask(study.set_apart, groups)
     tables = [*_task_tables(usual, study, notes).values(), *apart.values()]
     if not archive_of(folder):
         _write_tables(folder, tables, groups)
@@ -188,7 +189,7 @@ def _task_tables(groups: Sequence[Group], study: Study, notes: Sequence[str]) ->
     by_task = _by_task(groups)
     *_, last = by_task
     return {
-        task: task_table(own, [*study.notes(own), *(notes if task == last else [])])
+        task: task_table(own, [*ask(study.notes, own), *(notes if task == last else [])])
         for task, own in by_task.items()
     }
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
+from agents.errors import OWN_ERRORS, OwnCodeError, UserError, described
 from agents.reporting.page import Section
 from agents.reporting.table import Table
 from agents.results.groups import Group
+
+Given = TypeVar("Given")
+Told = TypeVar("Told")
 
 
 class Study:
@@ -31,3 +36,14 @@ class Study:
     def sections(self, groups: Sequence[Group]) -> list[Section]:
         """Figures, or claims with their verdicts, first on the page. groups: all of them."""
         return []
+
+
+def ask(method: Callable[[Given], Told], given: Given) -> Told:
+    """What a method of a study tells. Raises OwnCodeError where it fails."""
+    try:
+        return method(given)
+    except UserError:
+        raise
+    except OWN_ERRORS as error:
+        words = f"{method.__qualname__} of the study failed: {described(error)}"
+        raise OwnCodeError(words) from error
