@@ -27,7 +27,8 @@ def test_rows_recipes_and_policies_are_of_the_same_tasks():
 
 @pytest.mark.parametrize("row", [row for _, row in agents.zoo().iterrows()], ids=lambda r: r.task)
 def test_a_policy_was_trained_by_its_recipe_and_does_what_its_row_says(row):
-    """The costs of single episodes are between 0 and over 100: ten have a wide mean."""
+    """The costs of single episodes are between 0 and over 100: ten have a wide mean. So
+    has the return on SafetyPointGoal2, of about one goal in an episode."""
     config = TrainConfig.read(agents.pretrained("zoo", row.task))
     own = recipe(row.task)
     assert (row.algorithm, row.steps) == (own.algorithm, own.steps)
@@ -35,7 +36,7 @@ def test_a_policy_was_trained_by_its_recipe_and_does_what_its_row_says(row):
     usual = dataclasses.asdict(preset(own.algorithm, row.task, "zoo"))
     assert usual == dataclasses.asdict(config.hyperparameters)
     found = agents.evaluate(row.policy, episodes=10)
-    assert found.mean_return == pytest.approx(row.J_R, rel=0.25)
+    assert found.mean_return == pytest.approx(row.J_R, rel=0.25, abs=1.0)
     assert found.mean_cost <= 2.4 * limit_of(row.task)
     assert limit_of(row.task) >= row.J_C
 
