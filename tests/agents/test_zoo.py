@@ -66,8 +66,8 @@ def test_mistakes(capsys, tmp_path):
             f"the zoo's settings for {GOAL} are of trpo-pid, not of trpo-lag: choose the preset",
         ),
         (
-            ["train", "sac-lb-streak", "--task", "Circle2D-2-v0", "--preset", "zoo", *out],
-            "the zoo has no agent for Circle2D-2-v0: ",  # with the defaults its limit was 25
+            ["train", "trpo-pid", "--task", "SafetyCarPush2-v0", "--preset", "zoo", *out],
+            "the zoo has no agent for SafetyCarPush2-v0: ",  # it trained with the defaults
         ),
         (
             ["grid", "trpo-pid", "ppo-lag", "--task", GOAL, "--preset", "zoo", *out],

@@ -273,4 +273,4 @@ def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
 def test_random_training_is_told_and_another_first_cost_is_named(tmp_path):
     more = {"seeds": 0, "steps": 100, "costs": ("cost_2",), "random_steps": 200}
     table = agents.train("sac-lag", "TwoCosts-v0", out=tmp_path / "x", **more).table()
-    assert re.search(r"1\d\d steps, cost_2\): all its training's actions are random", table)
+    assert re.search(r"cost_2\): all its training's actions are random", table)
