@@ -103,7 +103,7 @@ def test_every_run_can_be_chosen(opened, page_file):
     page, seen = opened(), set()
     for task in ("Circle2D-1-v0", "Circle2D-2-v0"):
         page.select_option("#replay-task", label=task)
-        for name in ("TRPO-Lag", "CPO"):
+        for name in ("TRPO-Lag (3,000 steps)", "CPO (3,000 steps)"):
             page.select_option("#replay-algorithm", label=name)
             for seed in ("0", "1"):
                 page.select_option("#replay-seed", label=seed)
@@ -116,7 +116,7 @@ def test_every_run_can_be_chosen(opened, page_file):
 def test_what_is_drawn_is_what_was_recorded(opened, page_file):
     """Every window of a run, against its files: path, cost, longest streak."""
     page = opened()
-    page.select_option("#replay-algorithm", label="CPO")
+    page.select_option("#replay-algorithm", label="CPO (3,000 steps)")
     page.select_option("#replay-seed", label="1")
     folder, run = page_file.parent / "cpo", RunId("Circle2D-1-v0", 1)
     steps = Steps(folder)
