@@ -92,7 +92,7 @@ def _with_cause(
 OURS = tuple(str(Path(__file__).parents[1] / name) for name in ("agents", "circle2d_mj", "emcc"))
 """Folders of this package, whose frames are not the user's."""
 BETWEEN = ("importlib", "concurrent")
-"""Of Python's own: they stand between one that imports or calls and what is imported or called."""
+"""Parts of Python that stand between code that imports or calls and what is imported or called."""
 
 
 def described(error: BaseException) -> str:

@@ -39,7 +39,7 @@ class Study:
 
 
 def ask(method: Callable[[Given], Told], given: Given) -> Told:
-    """What a method of a study tells. Raises OwnCodeError where it fails."""
+    """Return what a method of a study tells. Raises OwnCodeError where it fails."""
     try:
         return method(given)
     except UserError:

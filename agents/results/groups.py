@@ -267,7 +267,7 @@ class Group:
     one_length: bool = False
     """Whether the runs that it is shown beside on a task have one length, which names leave out."""
     place: int | None = None
-    """Among folders that were given one by one, whose order tables and figures keep."""
+    """Its place among folders that were given one by one: tables and figures keep their order."""
 
     @property
     def title(self) -> str:

@@ -323,7 +323,7 @@ def test_latex_has_the_means_and_what_letters_mean_there():
     ],
 )
 def test_the_caption_in_latex_explains_what_stands_below_the_means(tmp_path, seeds, at, said):
-    """What brackets and parentheses are there is said, and nothing else; and the cost limit."""
+    """Brackets and parentheses that are there are said, and no others; and the cost limit."""
     for name, number in zip(("cpo", "trpo-lag"), seeds, strict=False):
         ends = at and [[[-0.5, 0.0]]] + [[[1.0, 0.0]]] * (number - 1)
         write_evaluated(tmp_path / name, name, range(1, number + 1), at=ends)
