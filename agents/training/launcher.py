@@ -67,7 +67,7 @@ class Launcher:
             return "not started"
         try:
             return self._train(folder, self._ending)
-        except UserError as error:
+        except (UserError, OSError) as error:  # of its own folder, or of one more process
             return str(error)
 
     @property

@@ -53,6 +53,22 @@ def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
     assert changes
 
 
+def test_a_folder_that_cannot_be_written_stops_no_other(tmp_path):
+    """A full disk, or a folder of another user: the others are trained, whatever is shown."""
+    for name in "abc":
+        made(tmp_path / name)
+    (tmp_path / "b" / "worker.log").mkdir()
+    with launcher(count=1) as trainings:
+        for name in "abc":
+            trainings.submit(tmp_path / name)
+        trainings.wait(lambda: trainings.failed, every=0.01)
+        [(folder, why)] = trainings.failed.items()
+    assert folder == tmp_path / "b"
+    assert "worker.log" in why
+    assert (tmp_path / "a" / "results.npz").is_file()
+    assert (tmp_path / "c" / "results.npz").is_file()
+
+
 def test_a_process_that_ends_before_its_training_is_no_success(tmp_path, monkeypatch):
     """With status 0, as after `sys.exit` in somebody's code."""
     folder = made(tmp_path / "x")
