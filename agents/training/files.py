@@ -85,7 +85,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """A new file that takes the place of `path` at the end, flushed; nothing is left of it where
-    that is not reached. Raises UserError as `check_file`."""
+    that is not reached. Raises UserError as `check_file`, OSError with the file's name."""
     check_file(path)
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(8)}{UNFINISHED}")
     try:
@@ -94,6 +94,10 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
             file.flush()
             os.fsync(file.fileno())
         os.replace(unfinished, path)
+    except OSError as error:
+        if error.errno is not None and error.filename is None:  # as a full disk raises it
+            error.filename = str(path)
+        raise
     finally:
         unfinished.unlink(missing_ok=True)
 

@@ -24,9 +24,21 @@ from agents.presets import preset
 from agents.training import files
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, read_json, write_arrays, write_whole
+from agents.training.files import Arrays, read_json, whole, write_arrays, write_whole
 
 TASK = "Circle2D-1-v0"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_is_told_with_the_file(tmp_path):
+    """The system's own error names none: of two disks, which is full?"""
+    with open("/dev/full", "wb", buffering=0) as full, pytest.raises(OSError) as bare:
+        full.write(b"x")
+    assert (bare.value.errno, bare.value.filename) == (errno.ENOSPC, None)
+    words = rf"No space left on device: '{tmp_path}/runs\.npz'"
+    with pytest.raises(OSError, match=words), whole(tmp_path / "runs.npz"):
+        raise bare.value
+    assert not [*tmp_path.iterdir()]
 
 
 def test_files_are_whole_follow_no_link_and_leave_nothing(tmp_path, monkeypatch):
