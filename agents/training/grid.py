@@ -102,7 +102,7 @@ def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, Train
 
     Where processes would wait for the longest, trainings are cut into parts, `FOLDER/K-of-N`, with
     some of their tasks and seeds each; runs have the same numbers alone as among others. What has
-    begun stays cut as it is.
+    begun stays cut as it is. Raises UserError where that holds other tasks or seeds.
     """
     numbers = {folder: _cuts(config) for folder, config in folders.items()}
     share = {f: work(config) / len(config.runs) for f, config in folders.items()}
@@ -140,7 +140,12 @@ def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, Train
             found = [(1, 1)]
         elif begun is not None:
             count = int(begun.parent.name.rpartition("-")[2])
-            found = [n for n in numbers[folder] if math.prod(n) == count] or found
+            found = [n for n in numbers[folder] if math.prod(n) == count]
+            if not found:  # as many parts as these runs are never cut into
+                raise UserError(
+                    f"{folder} holds {count} parts of a training with other tasks or seeds; choose "
+                    "another folder for out"
+                )
         own = _parts(config, *found[0])
         named = [folder / f"{k}-of-{len(own)}" for k in range(1, len(own) + 1)]
         parts |= zip(named if len(own) > 1 else [folder], own, strict=True)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.algorithms import algorithm
+from agents.errors import UserError
 from agents.paper.grid import PAPER_ALGORITHMS, circle2d_tasks
 from agents.training import grid
 from agents.training.config import TrainConfig
@@ -98,6 +99,19 @@ def test_what_has_begun_stays_cut_as_it_is(tmp_path):
     other = {folder: training("cpo") for folder in (tmp_path / "a", tmp_path / "b")}
     grid.prepare(other)
     assert grid.split(other, 16).keys() == other.keys()
+
+
+def test_other_seeds_are_not_trained_beside_the_parts_of_a_training(tmp_path):
+    """Whichever numbers of parts two sets of seeds are cut into: a report of the folder would have
+    the runs that both have twice."""
+    for seeds in (2, 3, 5, 6, 8):
+        out = tmp_path / str(seeds)
+        grid.prepare(grid.split({out: training(tasks=TASKS[:1], seeds=range(4))}, 4))
+        made = sorted(path.name for path in out.iterdir())
+        assert made == ["1-of-4", "2-of-4", "3-of-4", "4-of-4"]
+        with pytest.raises(UserError, match=r"other (settings|tasks or seeds).* for out"):
+            grid.prepare(grid.split({out: training(tasks=TASKS[:1], seeds=range(seeds))}, 4))
+        assert sorted(path.name for path in out.iterdir()) == made
 
 
 def test_shards_have_every_run_once(tmp_path):
