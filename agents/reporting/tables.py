@@ -74,7 +74,7 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
         else ""
     )
     notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
-    notes += [*_tails(groups), *_random(groups)]
+    notes += [*_records(groups), *_tails(groups), *_random(groups)]
     made = measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
     return replace(made, in_paper=caption_in_paper(groups))
 
@@ -267,6 +267,17 @@ def _limited(groups: Sequence[Group]) -> list[str]:
         return []
     kinds = "; ".join(f"the {words} of {', '.join(titles)}" for words, titles in names.items())
     return [f"The cost limit holds for {kinds}. Marks and claims compare J_C with it."]
+
+
+def _records(groups: Sequence[Group]) -> list[str]:
+    """What the rows of record costs say: see `agents.lockstep.streaks`."""
+    costs = dict.fromkeys(g.cost for g in groups if g.cost not in g.config.task_costs)
+    return [
+        f"{cost} is 1 in a step that makes the longest streak of an episode longer: its J_C is the "
+        "mean longest streak in steps; EMCC, cost rate and mean streak are measures of the plain "
+        "cost, not of it."
+        for cost in costs
+    ]
 
 
 def _tails(groups: Sequence[Group]) -> list[str]:
