@@ -143,7 +143,7 @@ def register(name: str, algorithm: Algorithm) -> None:
     new algorithm takes its place. Raises UserError where the name is taken or cannot name a folder,
     or a hyper-parameter has the name of an option, and TypeError where `algorithm` is no
     `Algorithm` or its config no frozen dataclass with a default for every field, and ValueError
-    where a multiplier follows a cost, or names a hyper-parameter, that is not there.
+    where a multiplier or a limit is of a cost, or names a hyper-parameter, that is not there.
     """
     words = name.split("-") if isinstance(name, str) else [""]
     if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
@@ -174,15 +174,24 @@ def register(name: str, algorithm: Algorithm) -> None:
             f"the family of {name!r} takes a subclass of {of_config.__name__} as config and a "
             f"{of_rule.__name__} as rule, got {config.__name__} and {algorithm.rule!r}"
         )
-    _check_multipliers(name, algorithm)
+    _check_limits(name, algorithm)
     _algorithms.registered[name] = algorithm
     _algorithms.modules[name] = module
 
 
-def _check_multipliers(name: str, algorithm: Algorithm) -> None:
-    """Raise ValueError where a multiplier follows a cost that is not learned, or names a
-    hyper-parameter that the config lacks."""
+def _check_limits(name: str, algorithm: Algorithm) -> None:
+    """Raise ValueError where a limit is of a cost that is not learned, or a multiplier follows one,
+    and where they name a hyper-parameter that the config lacks."""
     rule, there = algorithm.rule, [field.name for field in dataclasses.fields(algorithm.config)]
+    limits = getattr(rule, "limits", ())
+    if len(limits) > getattr(rule, "costs", len(limits)):
+        raise ValueError(f"limits of {name!r} must be at most costs={rule.costs}, got {limits}")
+    for field in limits:  # an algorithm without a limit keeps the default
+        if field != "cost_limit" and not hasattr(algorithm.config, field):
+            raise ValueError(
+                f"limits of {name!r} must be hyper-parameters of {algorithm.config.__name__}, got "
+                f"{field!r}: {nearest(field, there)}"
+            )
     for multiplier in getattr(rule, "multipliers", ()):
         if not 0 <= multiplier.signal < rule.costs:
             words = f"costs={rule.costs}, got {multiplier.signal}"

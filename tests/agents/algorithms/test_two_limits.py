@@ -187,6 +187,14 @@ def test_a_multiplier_of_what_is_not_there_is_refused():
     ):
         with pytest.raises(ValueError, match=words):
             agents.register("wrong", own._replace(rule=own.rule._replace(multipliers=(wrong,))))
+    # Else nothing would be limited, and reports would say so of a cost that is not learned.
+    without = own.rule._replace(multipliers=())
+    for changes, words in (
+        ({"limits": ("cost_limit", "cost_limt_2")}, "'cost_limt_2': did you mean 'cost_limit_2'"),
+        ({"limits": ("cost_limit", "cost_limit_2"), "costs": 1}, "at most costs=1, got"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            agents.register("wrong", own._replace(rule=without._replace(**changes)))
 
 
 @pytest.mark.parametrize(("steps", "tasks"), [(80, ["Circle2D-1-v0"]), (None, [])])
