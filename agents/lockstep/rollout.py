@@ -125,7 +125,7 @@ def collect(
     episode counts as one that never ends. An environment whose episode has ended waits for the
     others, and its further steps are left out; so does one whose action is not finite, and one that
     fails alone (`FAILURE`). Raises UserError where the environment lacks a cost, TaskFailure where
-    it has no end.
+    it has no end, and where a reset of some environments changes others.
     """
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)
@@ -168,6 +168,11 @@ def collect(
         observation = following
         if ended.any() and running.any():
             observation, _ = _reset(envs, options={"reset_mask": ended.copy()})
+            if not np.array_equal(observation[running], following[running], equal_nan=True):
+                raise TaskFailure(
+                    f"a reset of {envs} with options['reset_mask'] changes environments outside of "
+                    "the mask, whose episodes go on"
+                )
     columns = [np.stack(column) for column in zip(*steps, strict=True)]
     return _checked(Rollout._make([*columns, length, failure]), envs, costs)
 

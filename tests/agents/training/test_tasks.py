@@ -261,3 +261,24 @@ def test_a_vector_environment_that_writes_into_its_arrays_again():
         assert set(runs.to_pandas("evaluations")["return"]) == {15}
         positions = steps_of(runs.folder, "InPlace-v0/0", "positions")
         np.testing.assert_array_equal(positions[:, 0], [1, 2, 3, 4, 5] * 2)
+
+
+class Forgetful(InPlace):
+    """Episodes of five, six, ... steps side by side; a reset of one resets all."""
+
+    def reset(self, *, seed=None, options=None):
+        return super().reset(seed=seed)
+
+    def step(self, actions):
+        super().step(actions)
+        self.over[1] = self.seen[:, 0] == 5 + np.arange(self.num_envs)
+        return self.seen.copy(), self.reward, *self.over, {"cost": self.cost}
+
+
+def test_a_vector_environment_that_resets_others_is_refused():
+    """Else their episodes would go on from another start, and be recorded as longer ones."""
+    with registered(Forgetful=Other):
+        gym.spec("Forgetful-v0").vector_entry_point = Forgetful
+        words = r"a reset of task 'Forgetful-v0' with options\['reset_mask'\] changes environments"
+        with pytest.raises(TaskFailure, match=words):
+            agents.train("ppo-lag", "Forgetful-v0", seeds=0, steps=10, episodes=2)
