@@ -110,8 +110,23 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
         except TaskFailure as error:
             if type(error.__cause__) is UserError:  # not of the task's own code
                 raise UserError(f"task {task!r}: {error.__cause__}") from None
+            if isinstance(error.__cause__, (ValueError, gym.error.Error)) and _gives_six(envs):
+                raise UserError(
+                    f"a step of task {task!r} returns Safety-Gymnasium's six values: register it "
+                    "with circle2d_mj.FromSafetyGymnasium around it, which makes them five"
+                ) from None
             raise
     require_info(f"task {task!r}", info, costs)
+
+
+def _gives_six(envs: VectorEnv) -> bool:
+    """Whether a step of a task that fails returns six values, as gymnasium's wrappers hide."""
+    own: Any = envs.unwrapped
+    env = own.envs[0].unwrapped if isinstance(own, SyncVectorEnv) else own
+    with contextlib.suppress(*OWN_ERRORS):
+        env.reset(seed=0)
+        return len(env.step(env.action_space.sample())) == 6
+    return False
 
 
 def time_limit(task: str, parameters: dict[str, Any]) -> int | None:

@@ -23,6 +23,7 @@ from agents.lockstep.rollout import collect
 from agents.training.config import RunId, TrainConfig
 from agents.training.environments import checked_spaces, make_envs, spaces_of, task_id
 from agents.training.policy import Policy, _Bounded
+from circle2d_mj import FromSafetyGymnasium
 
 
 class Other(gym.Env):
@@ -282,3 +283,24 @@ def test_a_vector_environment_that_resets_others_is_refused():
         words = r"a reset of task 'Forgetful-v0' with options\['reset_mask'\] changes environments"
         with pytest.raises(TaskFailure, match=words):
             agents.train("ppo-lag", "Forgetful-v0", seeds=0, steps=10, episodes=2)
+
+
+class Six(Walk):
+    """Returns the cost between reward and ends, as Safety-Gymnasium's tasks do."""
+
+    def step(self, action):
+        observation, reward, *ends, info = super().step(action)
+        return observation, reward, info["cost"], *ends, {}
+
+
+@pytest.mark.parametrize("limit", [None, 30])
+def test_six_values_are_told_what_makes_them_five(limit):
+    """With gymnasium's own wrappers around them, each of which has other words."""
+    own = {"Six": Six, "Five": lambda: FromSafetyGymnasium(Six())}
+    more = TRPO | {"steps": 50, "seeds": 0}
+    with registered(**own):
+        for name in own:
+            gym.spec(f"{name}-v0").max_episode_steps = limit
+        with pytest.raises(UserError, match=r"six values: .*circle2d_mj\.FromSafetyGymnasium"):
+            agents.train("cpo", "Six-v0", **more)
+        agents.train("cpo", "Five-v0", **more)
