@@ -268,6 +268,7 @@ def evaluate(args: Sequence[str]) -> int:
         remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
         trained.load()
+        trainer.check_unchanged(folder, config)
         act, going = trained.learner.policy(), trained.failures == ""
         if trained.done:
             why = (trained.failures, trained.tracebacks)

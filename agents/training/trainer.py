@@ -43,6 +43,7 @@ from agents.training.config import (
     TrainConfig,
     read_spaces,
 )
+from agents.training.environments import check_task, spaces_of
 from agents.training.evaluation import runs_envs
 from agents.training.files import (
     Arrays,
@@ -74,7 +75,7 @@ def train(folder: Path, *own: Callback, config: TrainConfig | None = None) -> Tr
     and the kernel of networks for the process (`backend.configure`). NumPy has one thread
     meanwhile: its idle threads spin, which made two trainings side by side on two cores nine times
     slower. Ends with an evaluation and `results.npz`, unless these are there or a callback stopped
-    it. Raises UserError where another process trains there.
+    it. Raises UserError where another process trains there, and as `check_unchanged`.
     """
     config = config or TrainConfig.read(folder)
     backend.configure(config.backend)
@@ -83,6 +84,8 @@ def train(folder: Path, *own: Callback, config: TrainConfig | None = None) -> Tr
         trainer = Trainer(folder, config)
         trainer.load()
         evaluated = trainer.done and _is_whole(folder / RESULTS)
+        if trainer.steps.any() and not evaluated:
+            check_unchanged(folder, config)
         with contextlib.closing(trainer), callbacks.usual(trainer) as usual:
             trainer.run((*usual, *own))
             if trainer.done and not evaluated:
@@ -91,11 +94,27 @@ def train(folder: Path, *own: Callback, config: TrainConfig | None = None) -> Tr
     return trainer
 
 
+def check_unchanged(folder: Path, config: TrainConfig) -> None:
+    """Raise UserError where a task of a folder's runs fails in its first step, or has other spaces
+    than when they began: they would fail for good, or go on with actions of another scale."""
+    for task in config.tasks:
+        check_task(task, config.task_parameters, config.task_costs)
+    before, now = read_spaces(folder), spaces_of(config.tasks, config.task_parameters, config.wrap)
+    if now != before:
+        raise UserError(
+            f"{' '.join(config.tasks)} has changed since the runs of {folder} began: it had "
+            f"{before}, and has {now}; go on with the task as it was, or train in another folder"
+        )
+
+
 def check_longer(folder: Path, steps: int) -> None:
     """Raise UserError where the runs of a folder cannot be trained up to so many steps."""
     check("steps", steps, Annotated[int, In(1)])
-    if steps < (before := TrainConfig.read(folder).steps):
-        raise UserError(f"steps must be at least the {before} that {folder} has, got {steps}")
+    config = TrainConfig.read(folder)
+    if steps < config.steps:
+        raise UserError(f"steps must be at least the {config.steps} that {folder} has, got {steps}")
+    if steps > config.steps:
+        check_unchanged(folder, config)
 
 
 def lengthen(folder: Path, steps: int) -> None:

@@ -1,10 +1,17 @@
 """Trainings that stop or are killed go on as if never interrupted, bit for bit."""
 
+import re
+
+import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 from small_runs import SAC, TRPO, results
+from toys import Walk
 
 import agents
+from agents.cli.main import main
+from agents.errors import UserError
 
 OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
 FAMILIES = {"cpo": TRPO, "sac-lag": SAC}
@@ -31,6 +38,51 @@ def test_a_stop_after_any_epoch(tmp_path, algorithm):
         agents.resume(broken, on_epoch=stop)
         assert len(stops) < 50
     assert len(stops) > 2
+    assert results(broken) == expected
+
+
+class Shorter(Walk):
+    """Sees x alone."""
+
+    observation_space = Box(-np.inf, np.inf, (1,), np.float64)
+
+    def observation(self):
+        return super().observation()[:1]
+
+
+class Unlike(Walk):
+    """Its cost has another name."""
+
+    def step(self, action):
+        *step, info = super().step(action)
+        return *step, {"kosten": info["cost"]}
+
+
+CHANGED = {
+    "observation": (Shorter, "has changed since .*observation_size=2.*observation_size=1"),
+    "scale": (type("Wide", (Walk,), {"action_space": Box(-8, 8, (1,))}), r"low=\(-8\.0,\)"),
+    "actions": (type("Two", (Walk,), {"action_space": Box(-2, 2, (2,))}), r"low=\(-2\.0, -2\.0\)"),
+    "cost": (Unlike, r"gives no info\['cost'\]"),
+}
+
+
+@pytest.mark.parametrize("how", CHANGED)
+def test_a_task_that_has_changed_costs_no_run(tmp_path, monkeypatch, capsys, how):
+    """Its runs would be marked as failed for good, or go on with actions of another scale. Made
+    again as it was, it goes on as if never changed."""
+    other, words = CHANGED[how]
+    expected = results(trained(tmp_path / "whole", "cpo"))
+    broken = trained(tmp_path / "x", "cpo", on_epoch=lambda epoch: False)
+    with monkeypatch.context() as patch:
+        patch.setattr(gym.spec("Walk-v0"), "entry_point", other)
+        with pytest.raises(UserError, match=words):
+            agents.resume(broken)
+        assert main(["evaluate", str(broken), "--episodes", "1"]) == 2
+    assert re.search(words, capsys.readouterr().err)
+    assert results(agents.resume(broken).folder) == expected
+    monkeypatch.setattr(gym.spec("Walk-v0"), "entry_point", other)
+    with pytest.raises(UserError, match=words):
+        agents.resume(broken, steps=500)
     assert results(broken) == expected
 
 
