@@ -26,7 +26,7 @@ from agents.reporting.tables import (
     run_rows,
     unequal_lengths,
 )
-from agents.results.groups import Group, name_of_all
+from agents.results.groups import Group, name_of_all, under_one_id
 from agents.results.measures import measures
 from agents.results.names import changes, in_order, with_names
 from agents.results.reading import read_groups
@@ -96,7 +96,7 @@ def compare(
     of_a, of_b = (read_groups([side], notes) for side in (a, b))
     if mixed([*of_a, *of_b]):
         notes.append(ACROSS_WORDS)
-    both = alike([*of_a, *of_b])
+    both = under_one_id(alike([*of_a, *of_b]))
     sides = [with_names(side, both) for side in (both[: len(of_a)], both[len(of_a) :])]
     by_task = _by_task(a, b, sides, notes)
     pairs = {(task, k): pair for task, both in by_task.items() for k, pair in both.pairs.items()}

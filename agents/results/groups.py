@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
+from agents.presets import registered_id
 from agents.results import recorded
 from agents.results.names import title_of, titled, unusual_settings, unusual_steps
 from agents.results.recorded import Recorded
@@ -247,6 +248,7 @@ class Group:
     folder: str
     """Below the report's own: "." or like "Circle2D-1-v0/cpo"; of several with " + " between."""
     task: str
+    """Its id, the longer of two where runs of both are there: see `under_one_id`."""
     config: TrainConfig
     runs: Sequence[RunResult]
     """Complete runs."""
@@ -342,15 +344,22 @@ class Group:
         """The limit of its cost; None where the algorithm does not limit it."""
         return self.config.limits.get(self.cost)
 
+    @property
+    def _own_task(self) -> str:
+        """The id of the task as its trainings have it."""
+        same = registered_id(self.task)
+        return next(task for task in self.config.tasks if registered_id(task) == same)
+
     def visits(self) -> list[Visits] | None:
         """Visited states by third of training, of all complete runs; None without positions."""
-        prefix, parts = file_name(self.task) + "/", []
+        task, parts = self._own_task, []
+        prefix = file_name(task) + "/"
         for own in self.trainings:
             has_runs = not set(self.seeds).isdisjoint(own.config.seeds)
             if has_runs and not own.has(prefix + "visits"):
                 return None
             if has_runs:
-                parts.append((own.visits(self.task), own.get(prefix + "visited", len(PARTS), 3)))
+                parts.append((own.visits(task), own.get(prefix + "visited", len(PARTS), 3)))
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
         rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
@@ -364,9 +373,17 @@ class Group:
         """Units of what its task has recorded at each step, by name."""
         with content_of(self.trainings[0].path / RESULTS):
             names = self.trainings[0].arrays.get(
-                file_name(self.task) + "/info", np.empty((0, 2), str)
+                file_name(self._own_task) + "/info", np.empty((0, 2), str)
             )
             return dict(names.tolist())
+
+
+def under_one_id(groups: Sequence[Group]) -> list[Group]:
+    """The groups, with one id for each task: of the two that ours have, the longer where groups of
+    both are there."""
+    there = {group.task for group in groups}
+    ids = {task: own for task in there if (own := registered_id(task)) in there}
+    return [dataclasses.replace(group, task=ids.get(group.task, group.task)) for group in groups]
 
 
 def name_of_all(groups: Sequence[Group]) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import OwnCodeError, UserError
-from agents.results.groups import Group, RunResult, Training
+from agents.results.groups import Group, RunResult, Training, under_one_id
 from agents.results.measures import measured
 from agents.training import derive
 from agents.training.config import CHECKPOINTS, CONFIG, NO_RUNS, RESULTS, RunId, TrainConfig
@@ -90,7 +90,7 @@ def read_groups(
     notes[:] = dict.fromkeys(notes)  # of several costs once
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
-    pooled = _pooled(groups, notes)
+    pooled = under_one_id(_pooled(groups, notes))
     if len(sources) == len(paths) > 1:  # a training each
         return [replace(group, place=place) for place, group in enumerate(pooled)]
     return pooled

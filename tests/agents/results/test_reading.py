@@ -13,7 +13,7 @@ import pytest
 import toys
 from hypothesis import given
 from hypothesis import strategies as st
-from small_runs import TRPO, cells, edit_results, results, write_evaluated
+from small_runs import TRPO, cells, edit_results, evaluate, results, write_evaluated, write_runs
 
 import agents
 from agents.cli.main import main
@@ -397,3 +397,21 @@ def test_visits_that_do_not_fit_are_damage(one_run, tmp_path):
     np.savez(folder / "results.npz", **arrays)
     note = f"left out: heat map of cpo: cpo/results.npz is damaged: {TASK}/visits has shape [2, "
     assert_left_out(folder, note, agents.load_runs(one_run).table())
+
+
+def test_a_task_by_either_of_its_ids_is_one_task(tmp_path, capsys):
+    """A safety task has its own id and a longer one, which published runs have."""
+    short, long = "SafetyPointGoal1-v0", "circle2d_mj/SafetyPointGoal1-v0"
+    for name, task in (("short", short), ("long", long)):
+        write_runs(tmp_path / name, task)
+        evaluate(tmp_path / name)
+    alone = {name: read_groups([tmp_path / name], []) for name in ("short", "long")}
+    assert [group.task for groups in alone.values() for group in groups] == [short, long]
+    both = read_groups([tmp_path / "short", tmp_path / "long"], [])
+    assert [group.task for group in both] == [long, long]
+    for ours, (theirs,) in zip(both, alone.values(), strict=True):
+        assert ours.values("EMCC_0.33") == theirs.values("EMCC_0.33")
+        for a, b in zip(ours.visits(), theirs.visits(), strict=True):
+            np.testing.assert_array_equal(a.counts, b.counts)
+    assert main(["compare", str(tmp_path / "short"), str(tmp_path / "long")]) == 0
+    assert "B - A" in capsys.readouterr().out
