@@ -11,7 +11,7 @@ from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
 from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, printed
 from agents.paper.grid import LIMIT_MARGIN, PAPER_ALGORITHMS, SAFETY, ablations, unprinted
-from agents.presets import is_circle2d, registered_id
+from agents.presets import is_circle2d, registered_id, usual_steps
 from agents.reporting.overall import differences_over_tasks
 from agents.reporting.page import HANGS, Section
 from agents.reporting.study import Study
@@ -116,6 +116,9 @@ class Paper(Study):
         decides = ", which decides where runs end" if is_circle2d(task) else ""
         source = f"The paper does not specify this choice{decides}."
         notes = [f"{', '.join(names)}: {meaning}. {source}" for meaning, names in titles.items()]
+        steps = usual_steps(task)
+        if any(group.printed and group.runs and group.total_steps < steps for group in groups):
+            notes.append(f"The paper's numbers are of trainings of {steps:,} steps.")
         if registered_id(task) in SAFETY:
             notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")
         return notes

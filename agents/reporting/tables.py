@@ -74,7 +74,7 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
         else ""
     )
     notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
-    notes += [*_records(groups), *_tails(groups), *_random(groups)]
+    notes += [*_few_rollouts(groups), *_records(groups), *_tails(groups), *_random(groups)]
     made = measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
     return replace(made, in_paper=caption_in_paper(groups))
 
@@ -267,6 +267,18 @@ def _limited(groups: Sequence[Group]) -> list[str]:
         return []
     kinds = "; ".join(f"the {words} of {', '.join(titles)}" for words, titles in names.items())
     return [f"The cost limit holds for {kinds}. Marks and claims compare J_C with it."]
+
+
+def _few_rollouts(groups: Sequence[Group]) -> list[str]:
+    """Where the highest share alpha of a third's rollouts is no more than one."""
+    thirds = [third for group in groups for run in group.runs for third in run.thirds.values()]
+    fewest = min((np.unique(third.rollout).size for third in thirds if len(third)), default=0)
+    if not 0 < fewest * ALPHA < 1:
+        return []
+    return [
+        f"a third of a training has as few as {fewest} rollouts; of fewer than {1 / ALPHA:g} EMCC "
+        "is the highest MCC."
+    ]
 
 
 def _records(groups: Sequence[Group]) -> list[str]:

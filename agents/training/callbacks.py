@@ -209,7 +209,7 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
             if now.steps_per_second is not None:
                 told.insert(0, f"{now.steps_per_second:,.0f} steps/s")
             if trainer.done:
-                told.append("evaluating")
+                told.append(f"evaluating {config.evaluation_episodes} episodes of each policy")
                 trained = time.monotonic()
             elif now.seconds_left is not None:
                 told.append(f"{duration(now.seconds_left)} left")
