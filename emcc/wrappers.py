@@ -1,6 +1,6 @@
 """RecordCosts for gymnasium: the wrappers of single and of vector environments."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import gymnasium as gym
@@ -188,6 +188,11 @@ class VectorSteps(VectorWrapper):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step the environments."""
         result, active = five(self.env, super().step(actions)), ~self._finished
+        if not isinstance(result[4], Mapping):
+            raise TypeError(
+                f"infos of {self.env} must be a dict, got a {type(result[4]).__name__}: set "
+                "DictInfoToList outside of this wrapper"
+            )
         done = as_array(result[2], "terminated") | as_array(result[3], "truncated")
         if self._mode == "NextStep":
             self._finished = done & active

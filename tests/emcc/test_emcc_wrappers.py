@@ -61,6 +61,16 @@ def test_vector_environments(mode, kind, reset_cost):
     assert envs.records.reward.tolist() == [0.5 * row[2] for row in expected]
 
 
+def test_infos_in_a_list_are_told_their_place():
+    """Whose mask of the environments that gave a cost is lost; outside it does not matter."""
+    lists = pytest.importorskip("gymnasium.wrappers.vector").DictInfoToList
+    inside = RecordCosts(vector(SAME, SyncVectorEnv))
+    play(lists(inside), 8)
+    assert rows(inside) == EIGHT_STEPS
+    with pytest.raises(TypeError, match=r"must be a dict, got a list: set DictInfoToList outside"):
+        play(RecordCosts(lists(vector(SAME, SyncVectorEnv))), 1)
+
+
 class Native(gym.vector.VectorEnv):
     """A vector environment of its own kind: info["cost"] without a mask, no final_info."""
 
