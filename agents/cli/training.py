@@ -417,6 +417,8 @@ def _run(
         for folder in configs:
             if (note := callbacks.other_session(folder)) and not finished(folder):
                 say(f"{folder}: {note}")
+            if finished(folder) and any(derive.failed_runs(folder, configs[folder])):
+                say(f"{folder}: holds runs that failed: remove it to train them again")
         # The parts of a grid train at the same time: there each folder has a lock alone.
         with contextlib.nullcontext() if options.shard else locked(out):
             failed = _train_all(configs, trainings)

@@ -1,12 +1,15 @@
 """`circle2d grid` and `agents.grid`: algorithms on tasks with settings of one's own."""
 
+import gymnasium as gym
 import pytest
 from small_runs import differing, run_of
+from toys import Walk, registered
 
 import agents
 from agents.cli.main import main
 from agents.cli.options import split_options
 from agents.cli.training import GridOptions
+from agents.errors import UserError
 from agents.training.config import TrainConfig
 
 TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
@@ -41,6 +44,29 @@ def test_every_algorithm_trains_on_every_task_with_the_settings_given(tmp_path, 
                 name for name in differ if not name.startswith(("evaluation", "trained"))
             } == set()
     assert main(args) == 0  # all is done: it reports again
+
+
+class Bad(Walk):
+    """Fails in the second step of an episode."""
+
+    def step(self, action):
+        if self.t == 1:
+            raise FloatingPointError("unstable")
+        return super().step(action)
+
+
+def test_a_cell_that_has_failed_says_how_it_is_trained_again(tmp_path, capsys, monkeypatch):
+    """The same command leaves it as it is, also where its task has been mended since."""
+    own = {"steps": 200, "seeds": (0, 1), "evaluation_episodes": 1, "hidden": (8, 8)}
+    cell = tmp_path / "Bad-v0" / "cpo"
+    args = ["grid", "cpo", "--task", "Bad-v0", *FEW, "--out", str(tmp_path), "--workers", "1"]
+    with registered(Bad=Bad):
+        with pytest.raises(UserError, match=r"every run of .*Bad-v0/cpo failed"):
+            agents.train("cpo", "Bad-v0", out=cell, backend="numpy", **own)
+        monkeypatch.setattr(gym.spec("Bad-v0"), "entry_point", Walk)
+        assert main(args) == 1
+        words = f"circle2d: {cell}: holds runs that failed: remove it to train them again\n"
+        assert words in capsys.readouterr().err
 
 
 def test_options_of_algorithms_are_read_apart():
