@@ -91,8 +91,9 @@ def _with_cause(
 
 OURS = tuple(str(Path(__file__).parents[1] / name) for name in ("agents", "circle2d_mj", "emcc"))
 """Folders of this package, whose frames are not the user's."""
-BETWEEN = ("importlib", "concurrent")
-"""Parts of Python that stand between code that imports or calls and what is imported or called."""
+BETWEEN = ("importlib", "concurrent", "contextlib.py", "_ufunc_config.py")
+"""Parts of Python, numpy and torch that stand between code that imports or calls and what is
+imported or called, as decorators do."""
 
 
 def described(error: BaseException) -> str:

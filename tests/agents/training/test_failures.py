@@ -468,6 +468,15 @@ def two_families():
         yield
 
 
+def test_an_error_names_no_decorator_as_its_place():
+    """numpy's and torch's, which stand around the learning, are of nobody who could mend it."""
+    own = agents.algorithms.algorithm("ppo-lag")
+    gain = own._replace(rule=own.rule._replace(surrogates=(lambda c, p, r, b: r.mean(dim=-1),)))
+    words = r"a surrogate must return two of .*/agents/first_order\.py, line \d+\)$"
+    with known("gain", gain), pytest.raises(UserError, match=words):
+        agents.train("gain", "Walk-v0", seeds=(0, 1), steps=50, episodes=2, backend="numpy")
+
+
 @pytest.mark.parametrize(
     ("algorithm", "options"), [("toy", {"wrong": "reduce"}), ("sac-reduced", SAC), ("avg", SGD)]
 )
