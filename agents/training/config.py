@@ -271,14 +271,9 @@ class TrainConfig(Settings):
         hyperparameters = content.pop("hyperparameters")
         return content | {f"hyperparameters.{k}": value for k, value in hyperparameters.items()}
 
-    def write(self, folder: Path) -> Spaces:
-        """Make the folder of the training.
-
-        Raises UserError where there is one already, where a task cannot be made, where tasks do not
-        fit together, and where the runs need more than the machine's memory.
-        """
-        check_folder(folder)
-        _require_none(folder)
+    def checked(self) -> Spaces:
+        """Spaces of the tasks. Raises UserError where a task cannot be made, where tasks do not fit
+        together, or the algorithm them, and where the runs need more than the machine's memory."""
         spaces = spaces_of(self.tasks, self.task_parameters, self.wrap)
         _check_memory(self.learned, len(self.runs), self.steps, spaces.sizes)
         scale = getattr(self.hyperparameters, "input_scale", 1.0)
@@ -287,6 +282,16 @@ class TrainConfig(Settings):
                 f"input_scale must be one number, or {spaces.observation_size}, as an observation "
                 f"of {self.tasks[0]} has, got {scale}"
             )
+        return spaces
+
+    def write(self, folder: Path) -> Spaces:
+        """Make the folder of the training.
+
+        Raises UserError where there is one already, and as `checked`.
+        """
+        check_folder(folder)
+        _require_none(folder)
+        spaces = self.checked()
         modules = [module_of(self.algorithm), *map(module_of_task, self.tasks)]
         modules = [*dict.fromkeys(name for name in modules if name)]  # "" of built-in ones
         content = dataclasses.asdict(self) | made_with()

@@ -191,7 +191,8 @@ def makespan(durations: Sequence[float], workers: int) -> float:
 def prepare(folders: Mapping[Path, TrainConfig]) -> None:
     """Make the folders that are not there yet.
 
-    Raises UserError, before anything is made, where one holds runs of another configuration.
+    Raises UserError, before anything is made, where one holds runs of another configuration, or
+    one cannot be made: else the others would keep the settings of a call that failed.
     """
     there = [folder for folder in folders if (folder / CONFIG).exists()]
     for folder in there:
@@ -206,6 +207,8 @@ def prepare(folders: Mapping[Path, TrainConfig]) -> None:
                 f"{folder} holds runs with other settings: {', '.join(changed)}; choose another "
                 "folder for out"
             )
-    for folder, config in folders.items():
-        if folder not in there:
-            config.write(folder)
+    new = {folder: config for folder, config in folders.items() if folder not in there}
+    for config in new.values():
+        config.checked()
+    for folder, config in new.items():
+        config.write(folder)

@@ -1,6 +1,7 @@
 """Grids over the cores that there are: by counting, with made-up durations."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -112,6 +113,23 @@ def test_other_seeds_are_not_trained_beside_the_parts_of_a_training(tmp_path):
         with pytest.raises(UserError, match=r"other (settings|tasks or seeds).* for out"):
             grid.prepare(grid.split({out: training(tasks=TASKS[:1], seeds=range(seeds))}, 4))
         assert sorted(path.name for path in out.iterdir()) == made
+
+
+def test_nothing_is_made_where_one_training_cannot_be(tmp_path):
+    """Two numbers fit Circle2D's observations, and not those with physics. Mended, it is made."""
+    scaled = algorithm("cpo").config(input_scale=(10.0, 5.0))
+    tasks = ("Circle2D-1-v0", "Circle2DMuJoCo-1-v0")
+    both = {tmp_path / task: TrainConfig("cpo", (task,), (0,), 100, scaled) for task in tasks}
+    with pytest.raises(UserError, match="input_scale must be one number, or 4"):
+        grid.prepare(both)
+    assert [*tmp_path.iterdir()] == []
+    grid.prepare(
+        {
+            f: replace(config, hyperparameters=algorithm("cpo").config())
+            for f, config in both.items()
+        }
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(tasks)
 
 
 def test_shards_have_every_run_once(tmp_path):
