@@ -126,7 +126,7 @@ def lean_pictures(training: Training) -> dict[str, NDArray]:
     for task in training.config.tasks:
         prefix = file_name(task) + "/"
         with contextlib.suppress(UserError, KeyError):
-            kept[prefix + "visits"] = digits(training.visits(task))
+            kept[prefix + "visits"] = digits(training.visits(prefix))
             kept[prefix + "visited"] = training.arrays[prefix + "visited"]
     first = training.config.seeds[:DRAWN_POLICIES]
     drawn = (run for run in training.config.runs if run.seed in first)

@@ -17,7 +17,7 @@ from agents.results import recorded
 from agents.results.names import title_of, titled, unusual_settings, unusual_steps
 from agents.results.recorded import Recorded
 from agents.training import derive
-from agents.training.config import CONFIG, RESULTS, TrainConfig, file_name
+from agents.training.config import CONFIG, RESULTS, TrainConfig
 from agents.training.derive import BITS, Drawn, Visits
 from agents.training.files import AnyPath, Arrays, content_of, read_json
 from emcc import EpisodeRecords
@@ -104,9 +104,9 @@ class Training:
         """`config.json`."""
         return read_json(self.path / CONFIG)
 
-    def visits(self, task: str) -> NDArray[np.int64]:
-        """Visits of each cell, [3, CELLS, CELLS]: see `Visits`."""
-        name, cells = file_name(task) + "/visits", derive.CELLS
+    def visits(self, prefix: str) -> NDArray[np.int64]:
+        """Visits of each cell, [3, CELLS, CELLS]: see `Visits`; prefix: of a task's arrays."""
+        name, cells = prefix + "visits", derive.CELLS
         if name in self.pictures:
             return of_digits(self.get(name, -1, len(PARTS), cells, cells))
         counts = self.get(name, len(PARTS), -1, -1).astype(np.int64)
@@ -345,21 +345,20 @@ class Group:
         return self.config.limits.get(self.cost)
 
     @property
-    def _own_task(self) -> str:
-        """The id of the task as its trainings have it."""
-        same = registered_id(self.task)
-        return next(task for task in self.config.tasks if registered_id(task) == same)
+    def _prefix(self) -> str:
+        """The beginning of the names of its task's arrays, from the id that its trainings have."""
+        return self.runs[0].prefix.rsplit("/", 2)[0] + "/"
 
     def visits(self) -> list[Visits] | None:
-        """Visited states by third of training, of all complete runs; None without positions."""
-        task, parts = self._own_task, []
-        prefix = file_name(task) + "/"
+        """Visited states by third of training, of all complete runs, of which there is one; None
+        without positions."""
+        prefix, parts = self._prefix, []
         for own in self.trainings:
             has_runs = not set(self.seeds).isdisjoint(own.config.seeds)
             if has_runs and not own.has(prefix + "visits"):
                 return None
             if has_runs:
-                parts.append((own.visits(task), own.get(prefix + "visited", len(PARTS), 3)))
+                parts.append((own.visits(prefix), own.get(prefix + "visited", len(PARTS), 3)))
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
         rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
@@ -372,9 +371,7 @@ class Group:
     def recorded(self) -> dict[str, str]:
         """Units of what its task has recorded at each step, by name."""
         with content_of(self.trainings[0].path / RESULTS):
-            names = self.trainings[0].arrays.get(
-                file_name(self._own_task) + "/info", np.empty((0, 2), str)
-            )
+            names = self.trainings[0].arrays.get(self._prefix + "info", np.empty((0, 2), str))
             return dict(names.tolist())
 
 
