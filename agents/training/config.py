@@ -284,14 +284,14 @@ class TrainConfig(Settings):
             )
         return spaces
 
-    def write(self, folder: Path) -> Spaces:
-        """Make the folder of the training.
+    def write(self, folder: Path, spaces: Spaces | None = None) -> Spaces:
+        """Make the folder of the training; spaces: of `checked`, where it was called before.
 
         Raises UserError where there is one already, and as `checked`.
         """
         check_folder(folder)
         _require_none(folder)
-        spaces = self.checked()
+        spaces = spaces or self.checked()
         modules = [module_of(self.algorithm), *map(module_of_task, self.tasks)]
         modules = [*dict.fromkeys(name for name in modules if name)]  # "" of built-in ones
         content = dataclasses.asdict(self) | made_with()

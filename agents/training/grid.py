@@ -207,8 +207,6 @@ def prepare(folders: Mapping[Path, TrainConfig]) -> None:
                 f"{folder} holds runs with other settings: {', '.join(changed)}; choose another "
                 "folder for out"
             )
-    new = {folder: config for folder, config in folders.items() if folder not in there}
-    for config in new.values():
-        config.checked()
-    for folder, config in new.items():
-        config.write(folder)
+    new = {folder: config.checked() for folder, config in folders.items() if folder not in there}
+    for folder, spaces in new.items():
+        folders[folder].write(folder, spaces)
