@@ -91,8 +91,8 @@ _CHEETAH |= {"initial_log_std": -1.0, "kl_stop": 0.02}
 _CHEETAH |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
 # The paper's values for the algorithm, which was made on these tasks.
 _CIRCLE2D = {
-    task: Recipe("sac-lb-streak", 1_000_000, {"cost_limit": 5.0, "input_scale": LENGTHS[task]})
-    for task in CIRCLE2D
+    task: Recipe("sac-lb-streak", 1_000_000, {"cost_limit": 5.0, "input_scale": scale})
+    for task, scale in LENGTHS.items()
 }
 ZOO = _CIRCLE2D | {
     "circle2d_mj/SafetyCarGoal1-v0": Recipe("trpo-pid", 4_500_000, _SLOW),

@@ -74,7 +74,7 @@ def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
         else ""
     )
     notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
-    notes += [*_few_rollouts(groups), *_records(groups), *_tails(groups), *_random(groups)]
+    notes += [*_few_rollouts(groups), *_records(groups), *_random(groups)]
     made = measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
     return replace(made, in_paper=caption_in_paper(groups))
 
@@ -270,7 +270,7 @@ def _limited(groups: Sequence[Group]) -> list[str]:
 
 
 def _few_rollouts(groups: Sequence[Group]) -> list[str]:
-    """Where the highest share alpha of a third's rollouts is no more than one."""
+    """Note where a third has so few rollouts that the highest share alpha is one of them."""
     thirds = [third for group in groups for run in group.runs for third in run.thirds.values()]
     fewest = min((np.unique(third.rollout).size for third in thirds if len(third)), default=0)
     if not 0 < fewest * ALPHA < 1:
@@ -282,24 +282,20 @@ def _few_rollouts(groups: Sequence[Group]) -> list[str]:
 
 
 def _records(groups: Sequence[Group]) -> list[str]:
-    """What the rows of record costs say: see `agents.lockstep.streaks`."""
-    costs = dict.fromkeys(g.cost for g in groups if g.cost not in g.config.task_costs)
+    """The meaning of the rows of record costs (`agents.lockstep.streaks`), and the groups whose
+    limit of the longest streak holds for its tail."""
+    own = [group for group in groups if group.cost not in group.config.task_costs]
+    alphas = ((g, getattr(g.config.hyperparameters, "streak_alpha", 1.0)) for g in own)
     return [
         f"{cost} is 1 in a step that makes the longest streak of an episode longer: its J_C is the "
         "mean longest streak in steps; EMCC, cost rate and mean streak are measures of the plain "
         "cost, not of it."
-        for cost in costs
-    ]
-
-
-def _tails(groups: Sequence[Group]) -> list[str]:
-    """The groups whose limit of the longest streak holds for its tail."""
-    alphas = ((g, getattr(g.config.hyperparameters, "streak_alpha", 1.0)) for g in groups)
-    return [
+        for cost in dict.fromkeys(group.cost for group in own)
+    ] + [
         f"{group.name}: its limit holds for CVaR_{alpha:g} of the longest streak, the mean of the "
         f"worst share {alpha:g} of episodes; counts and marks compare the mean of all with it."
         for group, alpha in alphas
-        if alpha < 1 and group.cost not in group.config.task_costs
+        if alpha < 1
     ]
 
 
