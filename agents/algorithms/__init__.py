@@ -183,25 +183,23 @@ def _check_limits(name: str, algorithm: Algorithm) -> None:
     """Raise ValueError where a limit is of a cost that is not learned, or a multiplier follows one,
     and where they name a hyper-parameter that the config lacks."""
     rule, there = algorithm.rule, [field.name for field in dataclasses.fields(algorithm.config)]
-    limits = getattr(rule, "limits", ())
+    limits, multipliers = getattr(rule, "limits", ()), getattr(rule, "multipliers", ())
     if len(limits) > getattr(rule, "costs", len(limits)):
         raise ValueError(f"limits of {name!r} must be at most costs={rule.costs}, got {limits}")
-    for field in limits:  # an algorithm without a limit keeps the default
-        if field != "cost_limit" and not hasattr(algorithm.config, field):
-            raise ValueError(
-                f"limits of {name!r} must be hyper-parameters of {algorithm.config.__name__}, got "
-                f"{field!r}: {nearest(field, there)}"
-            )
-    for multiplier in getattr(rule, "multipliers", ()):
+    for multiplier in multipliers:
         if not 0 <= multiplier.signal < rule.costs:
             words = f"costs={rule.costs}, got {multiplier.signal}"
             raise ValueError(f"signal of a multiplier of {name!r} must be below {words}")
-        for role in ("limit", "highest"):
-            if (field := getattr(multiplier, role)) and not hasattr(algorithm.config, field):
-                raise ValueError(
-                    f"{role} of a multiplier of {name!r} must be a hyper-parameter of "
-                    f"{algorithm.config.__name__}, got {field!r}: {nearest(field, there)}"
-                )
+    # An algorithm without a limit keeps the default of `limits`.
+    named = [("limits", field) for field in limits if field != "cost_limit"]
+    roles = [(role, getattr(own, role)) for own in multipliers for role in ("limit", "highest")]
+    named += [(f"{role} of a multiplier", field) for role, field in roles if field]
+    for role, field in named:
+        if not hasattr(algorithm.config, field):
+            raise ValueError(
+                f"{role} of {name!r} must be a hyper-parameter of {algorithm.config.__name__}, got "
+                f"{field!r}: {nearest(field, there)}"
+            )
 
 
 def module_of(name: str) -> str:
