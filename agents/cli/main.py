@@ -45,8 +45,8 @@ COMMANDS = {
     "plot": ("showing", "draw learning curves for a paper: PDF, SVG, PNG, PGF"),
     "compare": ("showing", "put two sets of runs side by side, with their differences"),
     "heatmap": ("showing", "draw which states were visited in training"),
-    "export": ("showing", "write trained policies as safetensors or ONNX files, with a card"),
-    "render": ("showing", "draw episodes of trained policies, side by side: PNG, GIF, MP4"),
+    "export": ("policies", "write trained policies as safetensors or ONNX files, with a card"),
+    "render": ("policies", "draw episodes of trained policies, side by side: PNG, GIF, MP4"),
     "scene": ("showing", "print the MuJoCo scene of a task (MJCF)"),
 }
 """The file beside this one that has a function of each command's name, and what it does."""

@@ -1,17 +1,15 @@
-"""`circle2d report`, `compare`, `heatmap`, `render`, `export` and `scene`: commands that show."""
+"""`circle2d report`, `plot`, `zoo`, `compare`, `heatmap` and `scene`: commands that show."""
 
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from agents.algorithms import title
 from agents.checks import In, Settings
 from agents.cli.options import (
     Folder,
@@ -26,12 +24,8 @@ from agents.cli.options import (
     parse,
 )
 from agents.errors import UserError
-from agents.export import Format
 from agents.reporting.table import LATEX_COLUMNS, Number, Row, Table, show, working
-from agents.training.config import TrainConfig
-from agents.training.environments import task_id, time_limit, unscaled
-from agents.training.policy import chosen_run, folder_of
-from circle2d_mj.circle2d.config import Camera
+from agents.training.environments import task_id, unscaled
 from circle2d_mj.registration import PHYSICS
 from emcc.parts import ALPHA, PARTS
 
@@ -236,150 +230,6 @@ def heatmap(args: Sequence[str]) -> int:
     )
     pictures.write_picture(out, drawn)
     print(out)
-    return 0
-
-
-PICTURES = 200
-"""Most pictures of an episode in a film, where `--every` is not given."""
-
-
-@dataclass(frozen=True)
-class RenderOptions(Settings):
-    """Draw episodes of trained policies: all in one picture (.png), or as a film (.gif, .mp4).
-
-    Several folders are drawn side by side, each with its name and what it has cost so far.
-    """
-
-    folders: Folders
-    """Folders of runs on tasks that offer a view or, for films, frames of their own;
-    pretrained:ALGORITHM/TASK is a policy that comes with the package."""
-    out: Path | None = None
-    """File to write, its suffix the format; by default trajectories.png, with --frames mujoco
-    film.gif, in the first folder, or here for a policy of the package."""
-    episodes: int | None = None
-    """Number of episodes to draw, the first of the evaluation; by default 3, or all if fewer."""
-    task: Task = None
-    seed: tuple[int, ...] | None = None
-    """Seed of the run: one for all folders, or one for each; by default a folder's first."""
-    names: tuple[str, ...] = ()
-    """Titles above the panels, one for each folder; by default the algorithm and the seed."""
-    stochastic: bool = False
-    """Draw the stochastic policy instead of the deterministic one."""
-    frames: Literal["map", "mujoco"] = "map"
-    """map: the trajectory in the task's view, a plane of positions, distances or speeds. mujoco:
-    films of the task as MuJoCo draws it."""
-    camera: Camera | None = None
-    """Where a Circle2DMuJoCo task is seen from with --frames mujoco: above (the default), the side,
-    or behind the agent."""
-    every: Annotated[int, In(1)] | None = None
-    """Steps from a picture of a film to the next; by default the fewest that show an episode in 200
-    pictures, 20 seconds."""
-    size: Size = 640
-    imports: Imports = ()
-
-
-def render(args: Sequence[str]) -> int:
-    """Run `circle2d render`; returns the exit status."""
-    from agents.reporting import pictures
-
-    options = parse(RenderOptions, "render", args)
-    folders = [folder_of(given) for given in options.folders]
-    if not folders:
-        raise UserError("render needs a folder of runs")
-    names = one_for_each("names", options.names, folders)
-    given = options.seed or ()
-    seeds = one_for_each("seed", given * len(folders) if len(given) == 1 else given, folders)
-    beside = folders[0] if folders[0] == options.folders[0] else Path()
-    by_mujoco = options.frames == "mujoco"
-    out = options.out or beside / ("film.gif" if by_mujoco else "trajectories.png")
-    check_suffix(out, *[".png"] * (not by_mujoco), ".gif", ".mp4")
-    if options.camera and not by_mujoco:
-        raise UserError("camera needs --frames mujoco: the map has no camera")
-    if options.every is not None and out.suffix.lower() == ".png":
-        raise UserError(f"every is for films: give --out a .gif or .mp4, got {str(out)!r}")
-    configs = [TrainConfig.read(folder) for folder in folders]
-    runs = [
-        chosen_run(folder, config, config.seeds[0] if seed is None else seed, options.task)
-        for folder, config, seed in zip(folders, configs, seeds, strict=True)
-    ]
-    parameters = [config.task_parameters for config in configs]
-    limits = [time_limit(run.task, of_run) for run, of_run in zip(runs, parameters, strict=True)]
-    every = options.every or max(math.ceil((limit or 1) / PICTURES) for limit in limits)
-    panels = []
-    for folder, config, run, name in zip(folders, configs, runs, names, strict=True):
-        camera = camera_of(run.task, options.camera) if by_mujoco else None
-        episodes = options.episodes
-        if episodes is None:
-            episodes = min(3, config.evaluation_episodes)
-        shown, view = pictures.evaluation_episodes(
-            folder,
-            run,
-            episodes,
-            noisy=options.stochastic,
-            own_frames=by_mujoco,
-            camera=camera,
-            every=every,
-        )
-        heading = name or f"{title(config.algorithm)}, seed {run.seed}"
-        panels.append(pictures.Panel(heading, view, shown))
-    if out.suffix.lower() == ".png":
-        pictures.write_picture(out, pictures.picture(panels, options.size))
-    else:
-        frames = pictures.film(panels, options.size, every)
-        pictures.write_film(out, frames, pictures.pictures_of(panels, every))
-    print(out)
-    return 0
-
-
-def camera_of(task: str, chosen: Camera | None) -> Camera | None:
-    """Where frames of MuJoCo are seen from; None for a task with one camera. Raises UserError where
-    one is chosen for such a task."""
-    if task.rpartition(":")[2] in PHYSICS.values():
-        return chosen or "top"
-    if chosen:
-        raise UserError(f"camera is for {', '.join(PHYSICS.values())}: {task!r} has one, its own")
-    return None
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """Write trained policies, without their noise, as files that other programs read, and a model
-    card. Needs the extra [export]."""
-
-    folder: Folder
-    """Folder of the runs, or pretrained:ALGORITHM/TASK."""
-    format: Format
-    """safetensors: the network's arrays; onnx: a graph from observations to actions."""
-    out: Path | None = None
-    """Folder for the files; by default `exported` in the runs' folder, with a subfolder for the
-    task where there are several. Required for a policy that comes with the package."""
-    seeds: tuple[int, ...] | None = None
-    """Seeds of the runs to export; by default all."""
-    task: Task = None
-    step: int | None = None
-    """Environment steps of the training at which the policy was kept, a multiple of its
-    --evaluate-every; by default the newest checkpoint's."""
-    imports: Imports = ()
-
-
-def export(args: Sequence[str]) -> int:
-    """Run `circle2d export`; returns the exit status."""
-    from agents.export import export as write
-
-    options = parse(ExportOptions, "export", args)
-    folder = folder_of(options.folder)
-    if folder != options.folder and options.out is None:
-        raise UserError(f"{options.folder} is in the package: give a folder for the files, --out")
-    written = write(
-        folder,
-        options.format,
-        options.out,
-        seeds=options.seeds,
-        step=options.step,
-        task=options.task,
-    )
-    for path in written:
-        print(path)
     return 0
 
 

@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 BLOCK = 64
@@ -79,6 +78,8 @@ def correlated_uniform(
     distribution's function: 0 is white, 1 pink, 2 brown. Source: Timmer & König 1995, "On
     generating power law noise". size: (even length, ...).
     """
+    import torch  # late: configurations and results need stream seeds, and no networks
+
     frequency = np.maximum(np.arange(size[0] // 2 + 1), 1) / size[0]
     scale = frequency.reshape(-1, *[1] * (len(size) - 1)) ** (-exponent / 2)
     real, imaginary = scale * rng.standard_normal((2, len(scale), *size[1:]))

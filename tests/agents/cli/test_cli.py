@@ -213,6 +213,18 @@ assert not set({HEAVY}) & set(sys.modules), sorted(set({HEAVY}) & set(sys.module
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+def test_torch_is_imported_where_networks_are_needed():
+    """Not by commands that read and print, nor with configurations and results."""
+    code = """
+import sys
+import agents.results, agents.training.config
+from agents.cli.main import main
+assert main(["zoo"]) == 0 and main(["compare", "nowhere", "nowhere"]) == 2
+assert "torch" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
 def test_packages_that_an_installation_may_lack():
     """Those the commands name are those of the extra [train], imageio apart, which is in the base,
     and the rest of what these bring."""
