@@ -193,7 +193,8 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderer and the viewer."""
-        self.simulation.close()
+        if hasattr(self, "simulation"):  # gymnasium before 1.3 closes what was refused
+            self.simulation.close()
 
     def _reset_finished(self, *results: NDArray) -> None:
         """Reset finished episodes, in a step without end, reward and cost."""

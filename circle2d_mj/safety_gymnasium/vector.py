@@ -196,7 +196,7 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
 
     def close_extras(self, **_: Any) -> None:
         """Close all environments."""
-        for env in self.envs:
+        for env in getattr(self, "envs", ()):  # gymnasium before 1.3 closes what was refused
             env.close()
 
 

@@ -16,6 +16,7 @@ from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.core.streams import Streams, keys_of_seeds, philox
 from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
+from circle2d_mj.safety_gymnasium.vector import SafetySyncVectorEnv
 
 # One of each kind of state: no physics, a rigid region, an open one, a soft one; free objects,
 # gremlins with timers, a box, none, a body, forces.
@@ -296,6 +297,12 @@ def test_bad_arguments_are_named(make, name, value):
         pytest.skip("it has no threads")
     with pytest.raises((TypeError, ValueError), match="Never" if value == "Never" else name):
         make(**{"max_episode_steps": None, name: value})
+
+
+@pytest.mark.parametrize("cls", [Circle2DVectorEnv, SafetyVectorEnv, SafetySyncVectorEnv])
+def test_what_its_constructor_refused_closes(cls):
+    """gymnasium before 1.3 closes it as it is deleted, and prints what that raises."""
+    cls.__new__(cls).close()
 
 
 def scalar_philox(key, counter):
