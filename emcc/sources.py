@@ -34,6 +34,8 @@ ENVIRONMENT = re.compile(
 between each other; so do others whose values come in turns: see `_environments`."""
 STEP = re.compile(r"(n|num|global|total|env|time)?(time)?steps?|t")
 """Likewise, columns that count steps, which rise from row to row of an episode."""
+RUN = re.compile(r"(seed|run|algo|algorithm|experiment)s?(n|no|nr|num|number|idx|index|id|name)?")
+"""Likewise, columns that tell runs apart: see `_runs`."""
 WHOLE = re.compile(r"\d+(\.0*)?")
 
 
@@ -191,6 +193,8 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
     cuts, ends = (np.array([a != b for a, b in pairwise([*x, None])]) for x in (rollouts, episodes))
     marked = _marked(columns, marks)
+    if name := _runs(columns, ends | marked):
+        raise ValueError(f"has several runs in the column {name}: write a file for each")
     if name := _environments(columns, cuts | ends | marked):
         raise ValueError(
             f"has several environments in the column {name}: write whole episodes in the order in "
@@ -228,6 +232,17 @@ def _marked(columns: Columns, marks: list[str]) -> NDArray[np.bool_]:
             raise ValueError(f"column {name}: must be 0 or 1, got {min(bad)!r}")
         marked |= np.isin(words, ["1", "true"])
     return marked
+
+
+def _runs(columns: Columns, ends: NDArray[np.bool_]) -> str:
+    """The column that tells runs apart which stand one after another; "" where none does. A seed of
+    each episode's own is none. ends: of the rows, which are the last of an episode."""
+    for name, values in columns.items():
+        if RUN.fullmatch(_letters(name)):
+            blocks = 1 + sum(a != b for a, b in pairwise(values))
+            if 1 < blocks == len({*values}) < ends.sum():
+                return name
+    return ""
 
 
 def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:

@@ -79,6 +79,9 @@ OTHER_COLUMNS = {
     "a step's number, all along": ("global_step", list(range(100, 116))),
     "a step that ends one episode and begins the next": ("step", [3, 4, 5, 6, 6, 7, 8, 9] * 2),
     "one environment": ("env", [5] * 16),
+    "one run": ("seed", [5] * 16),
+    "a seed of each episode's own": ("seed", [7] * 4 + [3] * 4 + [9] * 4 + [8] * 4),
+    "an episode's seed that comes again": ("seed", [7] * 4 + [3] * 8 + [7] * 4),
     "a number": ("speed", [0, 1, 0, 1, 1, 0] + [2, 3] * 5),
 }
 
@@ -141,6 +144,17 @@ BAD_FILES = {
     "an end at a time limit that is not marked": (
         "step,terminated,cost\n0,0,1\n1,0,1\n0,0,1\n1,0,0\n2,1,0\n",
         "the column step does not rise within an episode: .* an end is not marked",
+    ),
+    **{
+        f"two by {name}": (
+            f"{name},done,cost\na,0,1\na,1,1\na,0,1\na,1,0\nb,0,0\nb,1,0\n",
+            f"several runs in the column {name}: write a file for each",
+        )
+        for name in ("seed", "run_id", "Algorithm", "algo")
+    },
+    "two by seeds, each with its episodes": (
+        "seed,episode,cost\n1,0,1\n1,0,1\n1,1,0\n2,0,1\n2,0,0\n2,1,0\n",
+        "several runs in the column seed",
     ),
     "two in turns": ("k,done,cost\n" + TWO_IN_TURNS, "the column k"),
     "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
