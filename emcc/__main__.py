@@ -1,6 +1,7 @@
 """python -m emcc PATH...: EMCC, or the panel of all measures, of run folders and cost files."""
 
 import argparse
+import io
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -76,6 +77,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; returns the exit status."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # characters that a terminal's encoding lacks
     parser = _parser()
     options = parser.parse_args(argv)
     try:

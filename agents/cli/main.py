@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import io
 import os
 import re
 import signal
@@ -70,10 +71,12 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 1 a run or a task failed, 2 a mistake of the
     user, 128 and the number of the signal that ended it (130 for Ctrl-C)."""
     args = sys.argv[1:] if args is None else args
-    if not args or args[0] in ("-h", "--help"):
-        print(usage(), end="")
-        return 0 if args else 2
+    if isinstance(sys.stdout, io.TextIOWrapper):  # not None, as where it is closed
+        sys.stdout.reconfigure(errors="replace")  # characters that a terminal's encoding lacks
     try:
+        if not args or args[0] in ("-h", "--help"):
+            print(usage(), end="", flush=True)
+            return 0 if args else 2
         if args[0] == "--version":
             from importlib.metadata import version
 
@@ -119,7 +122,7 @@ def _run(command: str, args: Sequence[str]) -> int:
             module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
             with handling_signals(), no_exit():
                 status = getattr(module, command)(args)
-                sys.stdout.flush()
+                print(end="", flush=True)
                 return status
         except ModuleNotFoundError as error:
             if not (hint := extra_hint(error, command)):

@@ -1,6 +1,7 @@
 """python -m emcc: the table of run folders and files, its status, and mistakes."""
 
 import csv
+import io
 import re
 import sys
 
@@ -43,6 +44,16 @@ def test_a_run(tmp_path, capsys):
         "EMCC_0.33": "0.275", "EMCC_0.66": "0.200", "EMCC_0.99": "0.333", "cost rate": "0.270",
     }  # fmt: skip
     assert "alpha = 1, ties = split" in caption
+
+
+def test_characters_that_the_encoding_lacks_are_replaced(tmp_path, monkeypatch):
+    path = tmp_path / "log.csv"
+    path.write_text("episode,cost\n" + "0,1\n0,0\n1,1\n1,0\n2,1\n2,0\n3,1\n3,0\n")
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    assert main([str(path)]) == 0
+    sys.stdout.flush()
+    last = sys.stdout.buffer.getvalue().decode("ascii").splitlines()[-1]
+    assert last.split()[1:] == ["?", "?", "?", "8", "0.500", "0.500", "0.500", "0.500"]
 
 
 def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):

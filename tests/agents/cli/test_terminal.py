@@ -1,10 +1,13 @@
 """Tables on a terminal: the means, within its width, with every cell; Markdown into a pipe."""
 
+import io
 import re
+import sys
 from dataclasses import replace
 
 import pytest
 
+from agents.cli.main import main
 from agents.reporting.table import Number, Row, Table, show
 
 NAMES = ["TRPO-Lag (250,000 steps), mean of 3", "TRPO-Lag, paper (3 seeds)", "CPO | \x1b[1m2"]
@@ -60,3 +63,20 @@ def test_other_numbers_of_runs_stand_in_the_rows(capsys):
     assert re.search(r"^task +EMCC", printed, re.MULTILINE)
     assert re.search(r"^CPO, n = 5 +0\.50", printed, re.MULTILINE)
     assert re.search(r"^WCSAC \(batch 5\), n = 3 +0\.50", printed, re.MULTILINE)
+
+
+def test_characters_that_the_encoding_lacks_are_replaced(monkeypatch):
+    printed = {}
+    for encoding in ("utf-8", "iso-8859-9", "ascii"):  # the second is that of tr_TR
+        monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding=encoding))
+        assert main(["zoo"]) == 0
+        printed[encoding] = sys.stdout.buffer.getvalue()
+    text = printed["utf-8"].decode()
+    assert "–" in text
+    assert printed == {encoding: text.encode(encoding, "replace") for encoding in printed}
+
+
+@pytest.mark.parametrize("command", ["zoo", "--help"])
+def test_an_output_that_is_closed_is_no_error(command, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert main([command]) == 0
