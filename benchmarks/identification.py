@@ -7,7 +7,8 @@
 `screen` trains the settings that the rule proposes, one after the other, and writes their runs to
 results/identification/screening.csv; `full` trains the nearest at full length (full.csv). Both go
 on where they were interrupted, also in another session: the files hold what is done, FOLDER the
-setting at hand. `rank` writes results/identification/ranking.md.
+setting at hand. Runs that two settings have in common are trained once. `rank` writes
+results/identification/ranking.md.
 """
 
 import argparse
@@ -30,8 +31,10 @@ from circle2d_mj.registration import KINEMATIC
 
 RESULTS = Path(__file__).parents[1] / "results" / "identification"
 TASKS = tuple(KINEMATIC.values())
+CUT_OUT = TASKS[2:]
+"""Those that have cut-outs; the depth changes nothing on the others."""
 SCREENING = {"steps": 300_000, "seeds": (300, 301, 302)}
-FULL = {"steps": 1_000_000, "seeds": tuple(range(310, 320))}
+FULL = {"steps": 1_000_000, "seeds": tuple(range(310, 315))}
 MOST_SETTINGS, NEAREST = 40, 5
 FLOORS = {"cost_rate": 0.01, "J_R": 0.5, "J_C": 0.5, "CVaR_0.5": 0.5}
 """Measures of the distance, and the least spread of a number, in its unit."""
@@ -67,6 +70,11 @@ class Setting:
     def geometry(self):
         """Keyword arguments for the task."""
         return {"cutout_depth": self.depth, "step_length": self.step}
+
+    def training(self, name, task):
+        """All that the runs of an algorithm on a task depend on, beside their seeds and length."""
+        depth = self.depth if task in CUT_OUT else None
+        return self.step, depth, self.hyperparameters(name)
 
     def hyperparameters(self, name):
         """Those of an algorithm, beside its preset."""
@@ -241,7 +249,7 @@ def page(screened, full, spread):
     parts += [_markdown(["algorithm", "task", "measure", "paper", "nearest, spreads"], rows)]
     if len(full):
         near, judge = distances(full, spread), distances(full, spread, HELD_BACK)
-        parts += ["\n## In full: ten seeds, 1 000 000 steps; EMCC was held back\n"]
+        parts += ["\n## In full: five seeds, 1 000 000 steps; EMCC was held back\n"]
         rows = [[s.name, near[s], judge[s]] for s in sorted(near, key=near.__getitem__)]
         parts += [_markdown(["setting", "distance", "distance of EMCC"], rows)]
         nearer = clearly_nearer(full, spread)
@@ -289,17 +297,31 @@ def read_spread():
     }
 
 
-def train(setting, length, out):
-    """The rows of a setting's runs, trained where they are not there yet; of those that fail, such
-    as one that diverges, none, which counts as the greatest deviation."""
-    folder = out / setting.name
+def shared(setting, table):
+    """By algorithm and task: a setting's rows of the runs that it has in common with others."""
+    found, own = {}, {"setting": setting.name, **dataclasses.asdict(setting)}
+    for key, rows in table.groupby([*FACTORS, "algorithm", "task"]) if len(table) else ():
+        *factors, name, task = key
+        if Setting(*factors).training(name, task) == setting.training(name, task):
+            found[name, task] = rows.assign(**own)
+    return found
+
+
+def train(setting, length, out, table):
+    """The rows of a setting's runs, trained where neither a table of other settings nor its folder
+    has them; of those that fail, such as one that diverges, none, which counts as the greatest
+    deviation."""
+    there, folder = shared(setting, table), out / setting.name
     for name in PAPER_ALGORITHMS:
         settings = length | setting.hyperparameters(name)
+        if not (lacking := [task for task in TASKS if (name, task) not in there]):
+            continue
         try:
-            agents.grid(name, TASKS, out=folder, task_parameters=setting.geometry, **settings)
+            agents.grid(name, lacking, out=folder, task_parameters=setting.geometry, **settings)
         except RunsFailed as error:
             print(error, flush=True)
-    return rows_of(folder, setting)
+    own = rows_of(folder, setting) if folder.exists() else []
+    return pd.concat([*there.values(), pd.DataFrame(own)])
 
 
 def _train_all(name, length, out, settings_of):
@@ -310,7 +332,7 @@ def _train_all(name, length, out, settings_of):
         lacking = [own for own in settings_of(near) if own not in near]
         if not lacking:
             return
-        rows = pd.DataFrame(train(lacking[0], length, out / name))
+        rows = train(lacking[0], length, out / name, table)
         table = pd.concat([table, rows])
         table.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.5g")
         print(f"{lacking[0].name}: {distance_of(rows, of):.3f}", flush=True)

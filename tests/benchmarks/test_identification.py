@@ -11,6 +11,7 @@ import pytest
 
 from agents.algorithms import algorithm
 from agents.paper.grid import PAPER_ALGORITHMS
+from circle2d_mj.circle2d.config import Circle2DConfig
 
 ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location("found", ROOT / "benchmarks" / "identification.py")
@@ -106,6 +107,37 @@ def test_settings_are_those_of_the_algorithms():
     assert other.hyperparameters("wcsac")["variance_target"] == "unsquared"
     assert Setting(depth=0.6).geometry == {"cutout_depth": 0.6, "step_length": 0.11}
     assert Setting(depth=0.6).name == "depth 0.6" and Setting().name == "today's"
+
+
+def test_runs_in_common_are_trained_once(monkeypatch, tmp_path):
+    """What a change concerns is trained, by hand; the rest is the table's, in the new setting's
+    name."""
+    trained, table = [], runs(seeds=2)
+    monkeypatch.setattr(search.agents, "grid", lambda *what, **_: trained.append(what))
+    every, cut_out = list(search.TASKS), ["Circle2D-2-v0", "Circle2D-3-v0"]
+    for change, expected in (
+        ({"depth": 0.6}, [(name, cut_out) for name in PAPER_ALGORITHMS]),
+        ({"follows": "start"}, [("sac-lag", every), ("wcsac", every)]),
+        ({"on_policy_limit": "terminal"}, [("trpo-lag", every), ("cpo", every)]),
+        ({"wcsac": "library"}, [("wcsac", every)]),
+        ({}, []),
+    ):
+        new = replace(Setting(), **change)
+        found = search.train(new, {}, tmp_path, table)
+        assert sorted(trained) == sorted(expected)
+        assert len(found) == len(table) - 2 * sum(len(tasks) for _, tasks in expected)
+        assert set(found["setting"]) <= {new.name}
+        trained.clear()
+    step = search.train(Setting(step=0.1), {}, tmp_path, table)
+    assert not len(step) and sorted(trained) == sorted((n, every) for n in PAPER_ALGORITHMS)
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_the_depth_matters_on_levels_with_cut_outs(level):
+    points = np.random.default_rng(0).uniform(-16, 16, (20_000, 2))
+    of_depth = [Circle2DConfig(level, cutout_depth=depth).region for depth in (0.5, 0.55)]
+    same = np.array_equal(*(region.contains(points) for region in of_depth))
+    assert same == (search.TASKS[level] not in search.CUT_OUT)
 
 
 def test_another_geometry_must_be_clearly_nearer():
