@@ -129,7 +129,8 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
         "interval, where all runs of either end in one place"
     )
     head = ["A and B", *SEPARATED, p_head(len(pairs))]
-    return Table(words, head, list(map(_separated_row, shown.itertuples())))
+    none = Row("none", [Number(None)] * (len(head) - 1), kind="difference")
+    return Table(words, head, [*map(_separated_row, shown.itertuples())] or [none])
 
 
 def _separated_row(pair: Any) -> Row:

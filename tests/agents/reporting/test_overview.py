@@ -139,11 +139,15 @@ def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
 def test_unequal_spreads_are_not_equal_rates(groups):
     """Cost rates that no test tells apart, since they differ wildly, are not equivalent."""
     wild = [run(k, 10 + 30 * (k % 2), 8) for k in range(6)]
-    compared = comparisons([groups[1], group(TASKS[0], "wcsac", wild)])
+    pair = [groups[1], group(TASKS[0], "wcsac", wild)]
+    compared = comparisons(pair)
     first = compared[compared.part == 0.33].iloc[0]
     assert first.rate_p > 0.05
     assert first.equivalence_p > 0.05
     assert not first.equal_rates
+    table = separated_table(pair)
+    assert "of which EMCC tells 0 apart" in table.caption
+    assert "| none" in table.markdown()
 
 
 def test_fewer_than_five_runs_are_in_no_comparison(groups):
