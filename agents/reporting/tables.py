@@ -276,8 +276,8 @@ def _few_rollouts(groups: Sequence[Group]) -> list[str]:
     if not 0 < fewest * ALPHA < 1:
         return []
     return [
-        f"a third of a training has as few as {fewest} rollouts; of fewer than {1 / ALPHA:g} EMCC "
-        "is the highest MCC."
+        f"the smallest third of a training has {fewest} rollout{'s' * (fewest > 1)}; of fewer than "
+        f"{1 / ALPHA:g} EMCC is the highest MCC."
     ]
 
 

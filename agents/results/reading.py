@@ -226,14 +226,11 @@ def _left_out(folder: str, missing: Mapping[int, str]) -> list[LeftOut]:
     seeds: dict[str, list[int]] = {}
     for seed, why in missing.items():
         seeds.setdefault(why, []).append(seed)
-    return [
-        LeftOut(f"left out: {folder}, seed{'s' * (len(those) > 1)} {_list(those)}: {why}")
-        for why, those in seeds.items()
-    ]
+    return [LeftOut(f"left out: {folder}, {_named(those)}: {why}") for why, those in seeds.items()]
 
 
-def _list(seeds: Sequence[int]) -> str:
-    return ", ".join(map(str, seeds))
+def _named(seeds: Sequence[int]) -> str:
+    return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
 
 
 def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
@@ -354,7 +351,7 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
                 missing={seed: why for group in same for seed, why in group.missing.items()},
             )
         )
-        listed = (f"{g.title} (seeds {_list(g.config.seeds)})" for g in same)
+        listed = (f"{g.title} ({_named(g.config.seeds)})" for g in same)
         notes.append(f"of equal settings, with other seeds, so counted as one: {'; '.join(listed)}")
     return pooled
 

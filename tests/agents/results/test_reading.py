@@ -305,7 +305,7 @@ def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
     [pooled], [whole] = read_groups([tmp_path / "p"], notes), read_groups([tmp_path / "whole"], [])
     assert pooled.seeds == [0, 1, 2]
     assert pooled.folder == "one + more"
-    assert "counted as one: p/one (seeds 0, 1); p/more (seeds 2)" in notes[0]
+    assert "counted as one: p/one (seeds 0, 1); p/more (seed 2)" in notes[0]
     assert [run.measures for run in pooled.runs] == [run.measures for run in whole.runs]
     for own, other in zip(pooled.visits(), whole.visits(), strict=True):
         np.testing.assert_array_equal(own.counts, other.counts)
