@@ -39,7 +39,7 @@ COMMANDS = {
     "train": ("training", "train runs of an algorithm on tasks, evaluate them, print their table"),
     "resume": ("training", "go on with runs that were interrupted"),
     "grid": ("training", "train algorithms on tasks on all cores, and report"),
-    "evaluate": ("training", "play episodes with trained policies"),
+    "evaluate": ("policies", "play episodes with trained policies"),
     "reproduce": ("training", "run the paper's experiments, or a part of them, and report"),
     "zoo": ("showing", "list the trained agents that come with the package, and what they reach"),
     "report": ("showing", "write tables, training curves and heat maps of trained runs"),

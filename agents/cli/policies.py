@@ -1,13 +1,17 @@
-"""`circle2d render` and `export`: commands that take trained policies."""
+"""`circle2d evaluate`, `render` and `export`: commands that take trained policies."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+import emcc
 from agents.algorithms import title
 from agents.checks import In, Settings
 from agents.cli.options import (
@@ -20,15 +24,94 @@ from agents.cli.options import (
     one_for_each,
     parse,
 )
+from agents.cli.training import name_failures
 from agents.errors import UserError
 from agents.export import Format
 from agents.export import export as write_export
 from agents.reporting import pictures
+from agents.reporting.table import working
+from agents.training import derive, evaluation, policy, trainer
 from agents.training.config import TrainConfig
 from agents.training.environments import time_limit
-from agents.training.policy import chosen_run, folder_of
+from agents.training.files import locked, remove_unfinished
 from circle2d_mj.circle2d.config import Camera
 from circle2d_mj.registration import PHYSICS
+from emcc.statistics import FEWEST_RUNS
+
+
+def _means_over(episodes: int) -> str:
+    intervals = "95 % t intervals" if episodes >= FEWEST_RUNS else "ranges"
+    return f"means over {episodes} episodes, with {intervals}"
+
+
+def _mean(values: NDArray[np.float64]) -> str:
+    """The mean over episodes with its interval, of few episodes with their range."""
+    mean = emcc.mean_interval(values.ravel())
+    if mean.kind == "t":
+        return f"{mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
+    words = "" if mean.low is None else f" ({mean.low:.2f} to {mean.high:.2f})"
+    return f"{mean.value:.2f}{words}"
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Play episodes with the policies of a folder's newest checkpoint and print their means. Once
+    the training is done, they replace the evaluation that reports show."""
+
+    folder: Folder
+    """Folder of the runs, or pretrained:ALGORITHM/TASK, a policy that comes with the package."""
+    episodes: int | None = None
+    """Episodes of each run and policy (deterministic, stochastic); by default as many as the
+    training's own evaluation has."""
+    imports: Imports = ()
+
+
+def evaluate(args: Sequence[str]) -> int:
+    """Run `circle2d evaluate`; returns the exit status."""
+    options = parse(EvaluateOptions, "evaluate", args)
+    folder = policy.folder_of(options.folder)
+    config = TrainConfig.read(folder)
+    if options.episodes is not None:
+        config = replace(config, evaluation_episodes=options.episodes)
+    episodes = config.evaluation_episodes
+    if folder != options.folder:  # a policy of the package: nothing is written
+        print(f"{options.folder}: {_means_over(episodes)}")
+        for name in evaluation.POLICIES:
+            with working(f"playing {episodes} episodes"):
+                found = policy.evaluate(folder, None, episodes, name == "deterministic")
+            words = f"J_R {_mean(found.returns)}, J_C {_mean(found.costs)}"
+            print(f"{config.runs[0]}, {name} policy: {words}")
+        return 0
+    folder = folder.absolute()  # a task may change the current one
+    with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
+        remove_unfinished(folder)
+        trained = trainer.Trainer(folder, config)
+        trained.load()
+        trainer.check_unchanged(folder, config)
+        act, going = trained.learner.policy(), trained.failures == ""
+        if trained.done:
+            why = (trained.failures, trained.tracebacks)
+            results = derive.write_results(folder, config, act, *why, episodes)
+        else:
+            results = evaluation.evaluate_runs(config, act, episodes, going)
+    taken = trained.steps[going] if going.any() else trained.steps
+    asked = "" if trained.done else f" of {config.steps}"
+    done = f"after {taken.min()}{asked} steps"
+    print(f"{options.folder}, {done}: {_means_over(episodes)}")
+    for name, result in results.items():
+        for k, run in enumerate(config.runs):
+            words = trained.failures[k] or result.why(k)
+            if not result.void[k]:
+                words = f"J_R {_mean(result.returns[k])}"
+                for cost, of_episodes in zip(config.costs, result.costs[k].T, strict=True):
+                    words += f", J_C {_mean(of_episodes)}" + f" ({cost})" * (cost != "cost")
+            print(f"{run}, {name} policy: {words}")
+    return (
+        name_failures([(folder, config)])
+        if trained.done
+        else int(any(r.void.any() for r in results.values()))
+    )
+
 
 PICTURES = 200
 """Most pictures of an episode in a film, where `--every` is not given."""
@@ -72,7 +155,7 @@ class RenderOptions(Settings):
 def render(args: Sequence[str]) -> int:
     """Run `circle2d render`; returns the exit status."""
     options = parse(RenderOptions, "render", args)
-    folders = [folder_of(given) for given in options.folders]
+    folders = [policy.folder_of(given) for given in options.folders]
     if not folders:
         raise UserError("render needs a folder of runs")
     names = one_for_each("names", options.names, folders)
@@ -88,7 +171,7 @@ def render(args: Sequence[str]) -> int:
         raise UserError(f"every is for films: give --out a .gif or .mp4, got {str(out)!r}")
     configs = [TrainConfig.read(folder) for folder in folders]
     runs = [
-        chosen_run(folder, config, config.seeds[0] if seed is None else seed, options.task)
+        policy.chosen_run(folder, config, config.seeds[0] if seed is None else seed, options.task)
         for folder, config, seed in zip(folders, configs, seeds, strict=True)
     ]
     parameters = [config.task_parameters for config in configs]
@@ -154,7 +237,7 @@ class ExportOptions:
 def export(args: Sequence[str]) -> int:
     """Run `circle2d export`; returns the exit status."""
     options = parse(ExportOptions, "export", args)
-    folder = folder_of(options.folder)
+    folder = policy.folder_of(options.folder)
     if folder != options.folder and options.out is None:
         raise UserError(f"{options.folder} is in the package: give a folder for the files, --out")
     written = write_export(

@@ -12,19 +12,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
-import emcc
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.checks import Settings
 from agents.cli.main import AfterEpoch, say
 from agents.cli.options import (
-    Folder,
     Folders,
     Imports,
     Width,
@@ -42,15 +38,14 @@ from agents.reporting.report import report, table
 from agents.reporting.table import show, working
 from agents.runs import Runs
 from agents.studies import used_study
-from agents.training import callbacks, derive, evaluation, policy, trainer
+from agents.training import callbacks, derive
 from agents.training import grid as grid_of
 from agents.training.callbacks import duration, share_done
 from agents.training.config import TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, task_id
-from agents.training.files import archive_of, check_folder, locked, remove_unfinished
+from agents.training.files import archive_of, check_folder, locked
 from agents.training.launcher import EngineName, Launcher, launcher
 from circle2d_mj.circle2d.config import LEVELS
-from emcc.statistics import FEWEST_RUNS
 
 
 @dataclass(frozen=True)
@@ -218,80 +213,6 @@ def resume(args: Sequence[str]) -> int:
         steps = TrainConfig.read(folder).steps
         say(f"{folder}: was done already, all {steps} steps; --steps N, of a greater N, goes on")
     return _finish(runs, after_epoch)
-
-
-def _means_over(episodes: int) -> str:
-    intervals = "95 % t intervals" if episodes >= FEWEST_RUNS else "ranges"
-    return f"means over {episodes} episodes, with {intervals}"
-
-
-def _mean(values: NDArray[np.float64]) -> str:
-    """The mean over episodes with its interval, of few episodes with their range."""
-    mean = emcc.mean_interval(values.ravel())
-    if mean.kind == "t":
-        return f"{mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
-    words = "" if mean.low is None else f" ({mean.low:.2f} to {mean.high:.2f})"
-    return f"{mean.value:.2f}{words}"
-
-
-@dataclass(frozen=True)
-class EvaluateOptions:
-    """Play episodes with the policies of a folder's newest checkpoint and print their means. Once
-    the training is done, they replace the evaluation that reports show."""
-
-    folder: Folder
-    """Folder of the runs, or pretrained:ALGORITHM/TASK, a policy that comes with the package."""
-    episodes: int | None = None
-    """Episodes of each run and policy (deterministic, stochastic); by default as many as the
-    training's own evaluation has."""
-    imports: Imports = ()
-
-
-def evaluate(args: Sequence[str]) -> int:
-    """Run `circle2d evaluate`; returns the exit status."""
-    options = parse(EvaluateOptions, "evaluate", args)
-    folder = policy.folder_of(options.folder)
-    config = TrainConfig.read(folder)
-    if options.episodes is not None:
-        config = replace(config, evaluation_episodes=options.episodes)
-    episodes = config.evaluation_episodes
-    if folder != options.folder:  # a policy of the package: nothing is written
-        print(f"{options.folder}: {_means_over(episodes)}")
-        for name in evaluation.POLICIES:
-            with working(f"playing {episodes} episodes"):
-                found = policy.evaluate(folder, None, episodes, name == "deterministic")
-            words = f"J_R {_mean(found.returns)}, J_C {_mean(found.costs)}"
-            print(f"{config.runs[0]}, {name} policy: {words}")
-        return 0
-    folder = folder.absolute()  # a task may change the current one
-    with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
-        remove_unfinished(folder)
-        trained = trainer.Trainer(folder, config)
-        trained.load()
-        trainer.check_unchanged(folder, config)
-        act, going = trained.learner.policy(), trained.failures == ""
-        if trained.done:
-            why = (trained.failures, trained.tracebacks)
-            results = derive.write_results(folder, config, act, *why, episodes)
-        else:
-            results = evaluation.evaluate_runs(config, act, episodes, going)
-    taken = trained.steps[going] if going.any() else trained.steps
-    asked = "" if trained.done else f" of {config.steps}"
-    done = f"after {taken.min()}{asked} steps"
-    print(f"{options.folder}, {done}: {_means_over(episodes)}")
-    for name, result in results.items():
-        for k, run in enumerate(config.runs):
-            words = trained.failures[k] or result.why(k)
-            if not result.void[k]:
-                words = f"J_R {_mean(result.returns[k])}"
-                for cost, of_episodes in zip(config.costs, result.costs[k].T, strict=True):
-                    words += f", J_C {_mean(of_episodes)}" + f" ({cost})" * (cost != "cost")
-            print(f"{run}, {name} policy: {words}")
-    return (
-        name_failures([(folder, config)])
-        if trained.done
-        else int(any(r.void.any() for r in results.values()))
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
