@@ -292,7 +292,7 @@ def _permuted(
     return np.arctan2(difference * np.abs(difference), variance)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)  # of ten and of five runs, against either
 def _divisions(runs: int, first: int) -> NDArray[np.float64]:
     """All ways to choose the first set, a row of ones and zeros each, the first runs first."""
     rows = np.array(list(combinations(range(runs), first)))
