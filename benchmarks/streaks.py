@@ -8,9 +8,9 @@
 `screen` trains the candidates for the base learner and writes results/streaks/screening.csv, from
 which the rule chooses; `train` trains arms, on all cores. Both go on where they were interrupted,
 so that tasks and arms may be trained in several sessions, in one folder or, by `table --out A B`,
-in several. `table` writes a row for each run, results/streaks/runs.csv, and one archive for each
-arm into the folder; `analyse` makes results/streaks/analysis.md and curves.png of the rows of the
-tasks that are complete.
+in several. `table` adds a row for each run to results/streaks/runs.csv, and writes one archive for
+each arm into the folder; `analyse` makes results/streaks/analysis.md and curves.png of the rows of
+the tasks that are complete.
 """
 
 import argparse
@@ -284,15 +284,23 @@ def train(options):
         agents.grid(algorithm, options.tasks, **settings)
 
 
+def merged(before, rows):
+    """A table with rows added: they take the place of those of the same runs."""
+    table = pd.concat([before, pd.DataFrame(rows)])
+    table = table.drop_duplicates(["task", "arm", "seed"], keep="last")
+    return table.sort_values(["task", "arm", "seed"], ignore_index=True)
+
+
 def table(options):
-    """Write the rows of all runs that are there, and the arms' archives."""
-    rows = []
+    """Add the rows of all runs that are there, and write the arms' archives."""
+    rows, path = [], RESULTS / "runs.csv"
     for out in options.out:
         for arm in ARMS:
             if (folder := out / "arms" / arm).exists():
                 rows += rows_of(folder, arm=arm)
                 agents.report(folder, archive=out / f"{arm}.zip", out=out / "pages" / arm)
-    pd.DataFrame(rows).to_csv(RESULTS / "runs.csv", index=False, float_format="%.6g")
+    before = pd.read_csv(path) if path.exists() else pd.DataFrame()
+    merged(before, rows).to_csv(path, index=False, float_format="%.6g")
 
 
 def analyse(options):

@@ -118,6 +118,19 @@ def test_incomplete_tasks_are_left_out():
     assert streaks.complete(doubled) == [of(2)[1]]
 
 
+def test_rows_are_added_and_those_of_the_same_runs_replaced():
+    """Of two of three tasks again, with another return: three tasks' rows, by task, arm, seed."""
+    before, again = table(tasks=of(3)), table(tasks=of(2), lost=1.0)
+    found = streaks.merged(before, again.to_dict("records"))
+    assert len(found) == len(before) and streaks.complete(found) == list(of(3))
+    key = ["task", "arm", "seed"]
+    expected = pd.concat([again, before[before["task"] == of(3)[2]]]).sort_values(key)
+    pd.testing.assert_frame_equal(found, expected.reset_index(drop=True)[found.columns])
+    assert streaks.merged(pd.DataFrame(), again.to_dict("records")).equals(
+        again.sort_values(key, ignore_index=True)
+    )
+
+
 def test_hypervolumes_by_hand():
     """(.2, .6) and (.5, .1): .8 x .4 + .5 x .5 = .57; a point that another dominates adds none."""
     points = [(0.5, 0.1), (0.2, 0.6)]
