@@ -50,14 +50,24 @@ class Columns(dict[str, list[str]]):
 
     def numbers(self, name: str, kind: type[int] | type[float]) -> NDArray[Any]:
         """One column as an array. ValueError: a cell that is no such number, by its line."""
-        values = []
+        values, read = [], _whole if kind is int else float
         for line, text in zip(self.lines, self[name], strict=True):
             try:
-                values.append(kind(text))
+                values.append(read(text))
             except ValueError as error:
                 number = "a whole number" if kind is int else "a number"
                 raise ValueError(f"line {line}, column {name}: {text!r} is not {number}") from error
         return np.array(values)  # with objects for integers beyond int64, which nothing takes
+
+
+def _whole(text: str) -> int:
+    """A whole number, also as 10.0, which pandas makes of it beside a missing one."""
+    try:
+        return int(text)
+    except ValueError:
+        if not (value := float(text)).is_integer():
+            raise
+        return int(value)
 
 
 @dataclass(frozen=True)

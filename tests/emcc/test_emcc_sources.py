@@ -93,6 +93,17 @@ def test_other_columns_are_left_alone(tmp_path, name, values):
     assert records.cost.tolist() == [2, 1, 1, 2]
 
 
+def test_whole_numbers_as_pandas_writes_them(tmp_path):
+    """A column of integers becomes one of floats where a number was missing for a while."""
+    header = "length,cost,longest_streak"
+    whole = emcc.read(write(tmp_path / "a.csv", header, [(4, 2, 2), (5, 1, 1)]))
+    floats = emcc.read(write(tmp_path / "b.csv", header, [("4.0", "2.0", "2.0"), ("5.0", 1, 1.0)]))
+    assert floats.to_csv() == whole.to_csv()
+    for text in ("4.5", "inf", "nan", ""):
+        with pytest.raises(ValueError, match=f"line 2, column length: '{text}' is not a whole"):
+            emcc.read(write(tmp_path / "c.csv", header, [(text, 1, 1)]))
+
+
 def test_arrays_are_the_arguments_of_from_costs(tmp_path):
     costs = np.array([[0, 1, 1, 0], [1, 1, 1, 0], [0, 0, 0, 0.5]])
     expected = emcc.EpisodeRecords.from_costs(costs).to_csv()
