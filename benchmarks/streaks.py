@@ -236,7 +236,8 @@ def draw(table, path):
     from matplotlib import pyplot as plt
 
     tasks = complete(table)
-    figure, axes = plt.subplots(2, len(tasks), squeeze=False, figsize=(2.6 * len(tasks), 5))
+    size = (2.6 * len(tasks), 5.5)
+    figure, axes = plt.subplots(2, len(tasks), squeeze=False, figsize=size, layout="constrained")
     for column, task in enumerate(tasks):
         own = table[table["task"] == task].groupby("arm")[["EMCC", "rate", "return"]].mean()
         for row, name in enumerate(("return", "rate")):
@@ -248,8 +249,8 @@ def draw(table, path):
         axes[0, column].set_title(task.removeprefix("Safety"), fontsize=9)
     for axis in axes[:, 0]:
         axis.set_ylabel("EMCC, last third")
-    axes[0, 0].legend(fontsize=6)
-    figure.tight_layout()
+    named = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside lower center", ncols=1 + len(tasks), fontsize=8)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
