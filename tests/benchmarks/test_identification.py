@@ -110,8 +110,8 @@ def test_settings_are_those_of_the_algorithms():
 
 
 def test_runs_in_common_are_trained_once(monkeypatch, tmp_path):
-    """What a change concerns is trained, by hand; the rest is the table's, in the new setting's
-    name."""
+    """Trained are the runs that a change concerns, by hand; the rest is the table's, in the new
+    setting's name."""
     trained, table = [], runs(seeds=2)
     monkeypatch.setattr(search.agents, "grid", lambda *what, **_: trained.append(what))
     every, cut_out = list(search.TASKS), ["Circle2D-2-v0", "Circle2D-3-v0"]

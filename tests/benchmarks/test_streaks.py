@@ -119,7 +119,7 @@ def test_incomplete_tasks_are_left_out():
 
 
 def test_rows_are_added_and_those_of_the_same_runs_replaced():
-    """Of two of three tasks again, with another return: three tasks' rows, by task, arm, seed."""
+    """Three tasks' rows, and two of these tasks again with another return: by task, arm, seed."""
     before, again = table(tasks=of(3)), table(tasks=of(2), lost=1.0)
     found = streaks.merged(before, again.to_dict("records"))
     assert len(found) == len(before) and streaks.complete(found) == list(of(3))
