@@ -1,18 +1,19 @@
 """Archives: folders of trainings as one zip file, with a row for each episode instead of each step.
 
-Beside config.json and status.json a training has there, with names as in `training.derive`:
+For each training an archive holds config.json, status.json and two files of arrays, which are named
+as in `training.derive`:
 
-- `results.npz`: of each cost `costs/NAME/kinds`, `/kind` and, unless each cost step costs 1,
-  `/cost`; returns of training's episodes to three digits of the largest, `return` and
-  `return/from`: see `emcc.records.records_of`; of a number that was recorded at each step what
-  tables tell, `info/NAME/...`: see `results.recorded.packed`; of the updates, which `epochs`
-  numbers, the multipliers, at most `POINTS` of them; all else as it was, evaluations among it
-- `pictures.npz`: what a page draws. Of each task `visits`, as digits, and `visited`; of the first
-  `DRAWN_POLICIES` runs of a task `trained` and `replay`, as they were
+- `results.npz`: for each cost `costs/NAME/kinds`, `/kind` and, unless every cost step costs 1,
+  `/cost`; the returns of training episodes to three digits of the largest, in `return` and
+  `return/from` (see `emcc.records.records_of`); for each number recorded at every step, what tables
+  show, in `info/NAME/...` (see `results.recorded.packed`); the multipliers of at most `POINTS`
+  updates, whose numbers are in `epochs`; everything else, evaluations included, unchanged
+- `pictures.npz`: what a page draws: `visits`, as digits, and `visited` for each task; `trained` and
+  `replay`, unchanged, for the first `DRAWN_POLICIES` runs of a task
 
-What is gone: costs and recorded numbers of single steps, so that no other threshold of a cost step
-can be asked for; other numbers of the updates; checkpoints; the pictures of further runs. All
-measures, with windows of any size too, are what they were.
+An archive lacks the costs and recorded numbers of single steps, so cost steps cannot be counted
+with another threshold; the other numbers of the updates; checkpoints; and the pictures of further
+runs. All measures, with windows of any size too, keep their values.
 """
 
 from __future__ import annotations
@@ -36,30 +37,30 @@ from agents.training.files import UNREADABLE, whole, write_arrays
 from emcc.records import digits, records_of
 
 POINTS = 500
-"""Updates, at most, whose multipliers an archive keeps of a run: every one, every second, ..."""
+"""Most updates of a run whose multipliers an archive keeps: all updates, every second one, ..."""
 OF_EPISODES = ("longest_streak", "cost_steps", "streaks")
 """Columns of `costs/NAME/kinds`."""
 MULTIPLIER = "multiplier"
-"""Beginning of the names of the updates' numbers that an archive keeps."""
+"""Prefix of the names of those metrics of the updates that an archive keeps."""
 REPLACED = re.compile(r"(/return|/updates|/epochs|/(costs|info|trained|replay)/.*|/visit(s|ed))")
-"""Ends of names below a run or a task that `results.npz` has in another form, or not."""
+"""Ends of array names, below a run or task, that `results.npz` stores differently or not at all."""
 
 
 def write_archive(path: Path, groups: Sequence[Group]) -> None:
-    """Pack the trainings of some groups into one file, whole or not at all."""
+    """Pack the trainings of the groups into one file; an error leaves no partial file."""
     trainings = {training.folder: training for group in groups for training in group.trainings}
     with whole(path) as target, zipfile.ZipFile(target, "w") as archive:
         archive.comment = name_of_all(groups).encode()
         for folder, training in sorted(trainings.items()):
             prefix = "" if folder == "." else folder + "/"
             for name, data in _files(training).items():
-                member = zipfile.ZipInfo(prefix + name)  # of a fixed date
-                # As a whole: arrays of runs are alike, and so are the names of hundreds.
+                member = zipfile.ZipInfo(prefix + name)  # with a fixed date
+                # Compressed as one member: the arrays of runs are alike, and so are their names.
                 archive.writestr(member, data, zipfile.ZIP_LZMA)
 
 
 def _files(training: Training) -> dict[str, bytes]:
-    """The files of a training in an archive; those of one that comes from an archive are kept."""
+    """Return a training's files for an archive; a training read from one keeps its files."""
     is_packed = any(name.endswith("/return/from") for name in training.arrays)
     names = (CONFIG, STATUS, RESULTS, PICTURES) if is_packed else (CONFIG, STATUS)
     files = {n: (training.path / n).read_bytes() for n in names if (training.path / n).is_file()}
@@ -71,7 +72,7 @@ def _files(training: Training) -> dict[str, bytes]:
 
 
 def lean_results(training: Training) -> dict[str, NDArray]:
-    """`results.npz` of an archive. A run that is damaged keeps its arrays as they are."""
+    """Return the arrays of an archive's `results.npz`; a damaged run's arrays stay as they are."""
     arrays, metrics = training.arrays, training.arrays.get("metrics", np.array([], dtype=np.str_))
     columns = [k for k, name in enumerate(metrics.tolist()) if name.startswith(MULTIPLIER)]
     kept: dict[str, NDArray] = {"metrics": metrics[columns]}
@@ -91,7 +92,7 @@ def lean_results(training: Training) -> dict[str, NDArray]:
 
 
 def _of_run(training: Training, run: RunId, columns: Sequence[int]) -> dict[str, NDArray]:
-    """Episodes, recorded numbers and multipliers of a run."""
+    """Return the arrays that hold a run's episodes, recorded numbers and multipliers."""
     arrays, prefix = training.arrays, run.prefix
     kept: dict[str, NDArray] = {}
     for cost in training.config.costs:
@@ -121,7 +122,7 @@ def _of_run(training: Training, run: RunId, columns: Sequence[int]) -> dict[str,
 
 
 def lean_pictures(training: Training) -> dict[str, NDArray]:
-    """`pictures.npz` of an archive; a picture that is damaged is left out."""
+    """Return the arrays of an archive's `pictures.npz`, without damaged pictures."""
     kept: dict[str, NDArray] = {}
     for task in training.config.tasks:
         prefix = file_name(task) + "/"

@@ -1,4 +1,4 @@
-"""Runs as tidy frames."""
+"""Results of runs as tidy data frames."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ def read(
     window: int | None = None,
     printed: Callable[[Group], Group] | None = None,
 ) -> pandas.DataFrame:
-    """The frame of all runs at or below some folders and in archives, complete or not.
+    """Return the frame of all runs, complete or not, in folders (searched downwards) and archives.
 
-    window, and what is raised: see `reading.read_groups`. printed: gives a group the numbers that a
-    publication prints for it, which have rows too.
+    window, and the errors raised: see `reading.read_groups`. printed: adds to a group the numbers
+    that a publication prints for it; these get rows too.
     """
     groups = read_groups(paths, [], None, window)
     return frame([*map(printed, groups)] if printed else groups)
 
 
 def rows(groups: Sequence[Group]) -> Iterator[tuple[Any, ...]]:
-    """`COLUMNS` of each run and measure: what every table has the means of.
+    """Yield a row of `COLUMNS` for each run and measure: the values whose means every table shows.
 
-    source: "runs", or the publication whose numbers these are. group: number of the group, for
-    group-bys. name: of the algorithm with its settings and length. settings: those that are
-    not the preset's, in words. cost: that the measures are of; limit: of it, None for an algorithm
-    that does not limit it. steps: that the run took. ends_in: where most evaluated episodes end,
-    empty for a task without named places. measure: its name, without the part: "rate" is the cost
-    rate of a third, "length" that of evaluated episodes. part: end of the third of training that
-    the measure is of, None for one of the whole. window: episodes of the windows over which a
-    measure of a third is taken, None for rollouts. value: None where the run lacks it. failure: why
-    a run is not complete, which has no values; empty for the others. groups: with their names.
+    source: "runs", or the publication that prints the value. group: index of the group, for
+    group-bys. name: the algorithm with its settings and length. settings: those that differ from
+    the preset, in words. cost: the cost that the measure is computed from; limit: its limit, None
+    if the algorithm does not limit it. steps: environment steps that the run took. ends_in: the
+    place where most evaluated episodes end, empty for a task without named places. measure: its
+    name without the part; "rate" is the cost rate of a third, "length" the length of evaluated
+    episodes. part: end of the third of training, None for a measure of all of training. window:
+    episodes per window for a measure of a third, None for rollouts. value: None where the run lacks
+    it. failure: why an incomplete run has no values; empty for the others. groups: already named.
     """
     every = measures(shown=False)
     for number, group in enumerate(groups):
@@ -75,7 +75,7 @@ def rows(groups: Sequence[Group]) -> Iterator[tuple[Any, ...]]:
 
 
 def frame(groups: Sequence[Group]) -> pandas.DataFrame:
-    """`rows` as a frame, what is not known NaN."""
+    """Return `rows` as a data frame; unknown values are NaN."""
     import pandas as pd
 
     made = pd.DataFrame(rows(with_names(groups)), columns=list(COLUMNS))
@@ -86,10 +86,10 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
 def long_frame(
     trainings: Sequence[Training], rows: Literal["episodes", "updates", "evaluations"]
 ) -> pandas.DataFrame:
-    """A row for each episode, each epoch's update, or each evaluated episode of every run so far.
+    """Return a row for each episode, epoch's update, or evaluated episode of every run so far.
 
-    Settings in which the trainings differ have a column each. Raises UserError for updates of an
-    archive, which has none.
+    Each setting in which the trainings differ has a column. Raises UserError for the updates of an
+    archive, which keeps none.
     """
     import pandas as pd
 
@@ -107,12 +107,12 @@ def long_frame(
             first = {**about, "task": run.task, "seed": run.seed}
             # Lists, since a hyper-parameter may be a tuple.
             frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
-    # Without those of no row, which would make whole numbers fractions.
+    # Empty frames would turn columns of integers into floats.
     return pd.concat([own for own in frames if len(own)] or frames, ignore_index=True)
 
 
 def _episodes(training: Training, run: RunId) -> dict[str, Any]:
-    """Columns of the episodes of a run; costs by their names."""
+    """Return the columns of a run's episodes; each cost's column has the cost's name."""
     first, *others = training.config.costs
     records = run_records(training.arrays, run, first)
     columns = {k: getattr(records, "reward" if k == "return" else k) for k in RECORD_COLUMNS}
@@ -124,27 +124,28 @@ def _episodes(training: Training, run: RunId) -> dict[str, Any]:
 
 
 def _updates(training: Training, run: RunId) -> dict[str, Any]:
-    """Columns of the updates of a run; `step`: environment steps taken by then."""
+    """Return the columns of a run's updates; `step`: environment steps taken before the update."""
     arrays = training.arrays
     if f"{run.prefix}length" not in arrays:  # no checkpoint yet, or it failed in its first epoch
         return {"rollout": np.arange(0), "step": np.arange(0)}
     if f"{run.prefix}updates" not in arrays:
         raise UserError(
-            f"{run} has no updates: none was made, or an archive, which keeps multipliers alone"
+            f"{run} has no updates: none was made, or it is in an archive, which keeps only "
+            "multipliers"
         )
     values = arrays[f"{run.prefix}updates"]
     rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)
     lengths = arrays[f"{run.prefix}length"].astype(np.int64)
     steps = np.add.reduceat(lengths, np.cumsum(rollouts) - rollouts).cumsum()
-    epochs = arrays.get(f"{run.prefix}epochs", np.arange(len(values)))  # of an archive a few
+    epochs = arrays.get(f"{run.prefix}epochs", np.arange(len(values)))  # an archive keeps a few
     return {"rollout": epochs, "step": steps[epochs]} | dict(
         zip(arrays["metrics"].tolist(), values.T, strict=True)
     )
 
 
 def _evaluations(training: Training, run: RunId) -> dict[str, Any]:
-    """Columns of the evaluated episodes of a run; `step`: environment steps taken by then; costs by
-    their names."""
+    """Return the columns of a run's evaluated episodes; `step`: environment steps taken before the
+    evaluation; each cost's column has the cost's name."""
     kept = numbered(training.path / POLICIES, run.prefix).items()
     sources: dict[int, tuple[Mapping[str, NDArray], str]]
     sources = {step: (Arrays(path), "") for step, path in kept}

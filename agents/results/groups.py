@@ -1,4 +1,4 @@
-"""Trainings as they are read: their arrays, the runs in them, and groups of runs."""
+"""Trainings read from disk or archives: their arrays, their runs, and groups of runs."""
 
 from __future__ import annotations
 
@@ -26,62 +26,64 @@ from emcc.parts import PARTS
 from emcc.records import of_digits, unpack_costs
 
 PICTURES = "pictures.npz"
-"""The arrays of an archive's training that pictures alone need: see `results.archive`."""
+"""File of an archived training with the arrays that only pictures need: see `results.archive`."""
 
 
 class Episode(NamedTuple):
-    """One episode: where each step ended, and what it cost."""
+    """Position and cost of each step of an episode."""
 
     positions: NDArray[np.float32]
-    """[T, 2] in the view's unit; [T + 1, 2], the start first, of a trained policy."""
+    """Where each step ended, [T, 2], in the view's unit; for an episode of a trained policy
+    [T + 1, 2], the start first."""
     costs: NDArray[np.float64]
     """[T]"""
 
 
 class Highlight(NamedTuple):
-    """The episode of highest MCC in a window of training."""
+    """The episode with the highest MCC in a window of training."""
 
     window: int
-    """Which of the `derive.WINDOWS` equal parts of training."""
+    """Index of the window, one of `derive.WINDOWS` equal parts of training."""
     start_step: int
-    """Environment steps before it."""
+    """Environment steps before the episode."""
     points: NDArray[np.uint16]
-    """Where the steps of `derive.shown_states` ended, [K, 2]: see `Highlights.positions`."""
+    """Grid points where the steps in `derive.shown_states` ended, [K, 2]: see
+    `Highlights.positions`."""
     unsafe: NDArray[np.bool_]
-    """Whether each of its steps cost, [T]."""
+    """Whether each step of the episode cost, [T]."""
     cost: float
-    """Sum of its costs."""
+    """Sum of the episode's costs."""
 
 
 class Highlights(NamedTuple):
-    """Episodes of a run's training, one for each window, on a grid of 1024 points a side."""
+    """Episodes of a run's training, one per window, on a grid of 1024 x 1024 points."""
 
     episodes: list[Highlight]
     box: NDArray[np.float64]
-    """The lowest and the highest of the points' coordinates in the view's unit, [2, 2]."""
+    """Lowest and highest coordinates of the points, in the view's unit, [2, 2]."""
 
     def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Points in the view's unit, [T, 2]."""
+        """Return grid points in the view's unit, [K, 2]."""
         return self.box[0] + points * ((self.box[1] - self.box[0]) / (2**BITS - 1))
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training's folder, on disk or in an archive, and the runs of one task in it."""
+    """A training's folder, on disk or in an archive."""
 
     path: AnyPath
     folder: str
-    """Below the report's own: see `Group`."""
+    """Path of the folder relative to the report's: see `Group`."""
     title: str
-    """The folder as seen from beside the report's."""
+    """Path of the folder relative to the parent of the report's."""
     arrays: Mapping[str, NDArray] = field(repr=False)
-    """`results.npz`, or what it would hold by now: see `derive`."""
+    """`results.npz`; for a training in progress, what the file would hold now: see `derive`."""
     config: TrainConfig
-    """The folder's config.json."""
+    """Settings from the folder's config.json."""
 
     def get(self, name: str, *shape: int) -> NDArray:
-        """An array of numbers of a shape, in which -1 is any number. Raises UserError for another,
-        naming the file: each array may be whole and not fit the others."""
+        """Read an array and check its dtype and shape; -1 in `shape` accepts any length. Raises
+        UserError naming the file: an array can be undamaged and still not match the others."""
         in_pictures = name in self.pictures
         with content_of(self.path / (PICTURES if in_pictures else RESULTS)):
             array = as_array((self.pictures if in_pictures else self.arrays)[name], name)
@@ -91,21 +93,23 @@ class Training:
         return array
 
     def has(self, name: str) -> bool:
-        """Whether there is an array of that name."""
+        """Whether there is an array with this name."""
         return name in self.arrays or name in self.pictures
 
     @cached_property
     def pictures(self) -> Mapping[str, NDArray]:
-        """`pictures.npz`, of an archive; of a folder nothing."""
+        """Arrays of `pictures.npz` in an archive; empty for a folder on disk."""
         return Arrays(self.path / PICTURES) if (self.path / PICTURES).is_file() else {}
 
     @property
     def recorded(self) -> Mapping[str, Any]:
-        """`config.json`."""
+        """Content of `config.json`."""
         return read_json(self.path / CONFIG)
 
     def visits(self, prefix: str) -> NDArray[np.int64]:
-        """Visits of each cell, [3, CELLS, CELLS]: see `Visits`; prefix: of a task's arrays."""
+        """Return visits of each cell by third, [3, CELLS, CELLS]: see `Visits`.
+
+        prefix: of the names of a task's arrays."""
         name, cells = prefix + "visits", derive.CELLS
         if name in self.pictures:
             return of_digits(self.get(name, -1, len(PARTS), cells, cells))
@@ -115,7 +119,7 @@ class Training:
         return self.get(name, len(PARTS), cells, cells).astype(np.int64)
 
     def of_steps(self, name: str, steps: int) -> NDArray[np.float64]:
-        """A number of each step of a run, [steps], from the arrays below a name."""
+        """Return a number recorded at each step of a run, [steps], from the arrays below `name`."""
         with content_of(self.path / RESULTS):
             values = unpack_costs(self.arrays, name)
             if len(values) != steps:
@@ -123,75 +127,77 @@ class Training:
         return values
 
     def bits(self, name: str, count: int) -> NDArray[np.bool_]:
-        """An array of so many bits."""
+        """Return an array of `count` bits as bools."""
         return np.unpackbits(self.get(name, -(-count // 8)), count=count).astype(bool)
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """A complete run: what measures are computed from, and these."""
+    """A complete run: its measures, and the data that they are computed from."""
 
     seed: int
     measures: Mapping[str, float | None]
-    """By the name of the measure; None for what the run lacks."""
+    """Values by measure name; None for what the run lacks."""
     episodes: int
     """Evaluation episodes per policy."""
     ends: Mapping[str, int]
-    """Evaluated episodes of the deterministic policy by the place where they end; empty for a task
-    without named places."""
+    """Number of evaluated episodes of the deterministic policy that end in each place; empty for a
+    task without named places."""
     records: EpisodeRecords = field(repr=False)
-    """A row per training episode."""
+    """One row per training episode."""
     evaluation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
-    """For each policy, "deterministic" and "stochastic", the means J_R, J_C and CVaR_0.5, and
+    """For each policy, "deterministic" and "stochastic": J_R, J_C and CVaR_0.5 as floats, and
     arrays "returns", "cost_returns" and "lengths" of its episodes, undiscounted."""
     ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    """Evaluated episodes by place and way to it; empty for a task without named ways."""
+    """Number of evaluated episodes by place and way to the place; empty for a task without named
+    ways."""
     window: int | None = None
-    """Episodes of the windows over which EMCC is taken; None for rollouts."""
+    """Episodes per window over which EMCC is taken; None for rollouts."""
     training: Training | None = field(default=None, repr=False)
-    """The one it is of, which has what pictures and tables of recorded numbers show."""
+    """The training of this run, with the arrays for pictures and tables of recorded numbers."""
     prefix: str = ""
-    """The beginning of the names of its arrays there."""
+    """Prefix of the names of the run's arrays in the training."""
 
     @property
     def total_steps(self) -> int:
-        """Environment steps that it took: those asked for, and the rest of its last epoch."""
+        """Environment steps that the run took: those asked for and the rest of its last epoch."""
         return self.records.total_steps
 
     @property
     def rollouts(self) -> EpisodeRecords:
-        """The records by whose rollouts, or windows, EMCC is taken."""
+        """Records grouped by the rollouts or windows over which EMCC is taken."""
         return self.records.windows(self.window)
 
     @cached_property
     def thirds(self) -> dict[float, EpisodeRecords]:
-        """The rollouts, or windows, that start in each third of training, by its end."""
+        """Rollouts or windows that start in each third of training, by the end of the third."""
         return self.rollouts.by_part(self.total_steps)
 
     def evaluated(self, name: str) -> float | None:
-        """A mean over the episodes of the deterministic policy; None where it was not measured."""
+        """Return a statistic of the deterministic policy's episodes; None if not measured."""
         value = self.evaluation.get("deterministic", {}).get(name)
         return None if value is None else float(value)
 
     @property
     def end(self) -> str:
-        """The place where most of its evaluated episodes end; empty without places."""
+        """Place where most evaluated episodes end; empty for a task without named places."""
         return max(self.ends, key=self.ends.__getitem__, default="")
 
     @property
     def way(self) -> str:
-        """The way by which most of them came to that place; empty where it is unknown."""
+        """Way that most of the episodes ending in that place took; empty if unknown."""
         ways = self.ways.get(self.end, {})
         return max(ways, key=ways.__getitem__, default="")
 
     @property
     def place(self) -> str:
-        """Place and way; empty without places."""
+        """Place and way; empty for a task without named places."""
         return ", ".join(filter(None, (self.end, self.way)))
 
     def trained(self) -> list[Drawn] | None:
-        """Episodes of its trained policy, which the first `derive.DRAWN_POLICIES` runs have; None
-        without positions."""
+        """Return episodes of the trained policy; None without recorded positions.
+
+        Only the first `derive.DRAWN_POLICIES` runs of a task have them."""
         own, prefix = self._arrays, f"{self.prefix}trained/"
         if not own.has(prefix + "states"):
             return None
@@ -201,8 +207,8 @@ class RunResult:
         return [*map(Drawn, paths, np.split(own.bits(prefix + "unsafe", total), ends))]
 
     def replay(self) -> Highlights | None:
-        """The episode of highest MCC, by the training's first cost, in each window of its training;
-        None without positions."""
+        """Return the episode with the highest MCC in each window of training, by the training's
+        first cost; None without recorded positions."""
         own, prefix, records = self._arrays, f"{self.prefix}replay/", self.records
         if not own.has(prefix + "drawn"):
             return None
@@ -218,11 +224,11 @@ class RunResult:
 
     @property
     def replay_steps(self) -> int:
-        """Environment steps that the windows of its replay divide."""
+        """Environment steps that the windows of the replay divide."""
         return max(1, int(self._arrays.get(f"{self.prefix}replay/steps")))
 
     def recorded(self, name: str) -> Recorded:
-        """A number that was recorded at each of its steps."""
+        """Return the statistics of a number that was recorded at each step of the run."""
         own, prefix = self._arrays, f"{self.prefix}info/{name}/"
         if prefix + "lowest" not in own.arrays:
             values = own.of_steps(prefix, self.total_steps)
@@ -246,34 +252,35 @@ class Group:
     """The runs of a training on one task, or of several trainings that differ in seeds alone."""
 
     folder: str
-    """Below the report's own: "." or like "Circle2D-1-v0/cpo"; of several with " + " between."""
+    """Path relative to the report's folder, "." or like "Circle2D-1-v0/cpo"; several folders are
+    joined by " + "."""
     task: str
-    """Its id, the longer of two where runs of both are there: see `under_one_id`."""
+    """Task id; for a task with two ids, see `under_one_id`."""
     config: TrainConfig
     runs: Sequence[RunResult]
     """Complete runs."""
     trainings: Sequence[Training] = field(repr=False)
     missing: Mapping[int, str] = field(default_factory=dict)
-    """Why the others are left out, by seed."""
+    """Why each other run is left out, by seed."""
     apart: str = ""
-    """Behind the unusual settings: the cost, unless it is the only one, and what `with_names` adds
-    for an unregistered algorithm."""
+    """Words after the unusual settings in the name: the cost, unless it is the only one, and what
+    `with_names` adds for an unregistered algorithm."""
     cost: str = "cost"
-    """The cost that its measures are of."""
+    """The cost that the measures are computed from."""
     printed: Mapping[str, float] = field(default_factory=dict)
-    """Printed numbers for its algorithm and task, by measure: see `paper.evidence`."""
+    """Published numbers for the algorithm and task, by measure: see `paper.evidence`."""
     publication: str = ""
-    """The publication that prints them, by name, and its number of runs."""
+    """Name of the publication that prints them, and its number of runs."""
     where: str = ""
-    """The folder, where another group has its settings: see `names.with_names`."""
+    """The folder, if another group has the same settings: see `names.with_names`."""
     one_length: bool = False
-    """Whether the runs that it is shown beside on a task have one length, which names leave out."""
+    """Whether all runs shown together on each task have one length, which names then leave out."""
     place: int | None = None
-    """Its place among folders that were given one by one: tables and figures keep their order."""
+    """Index among folders that were given one by one: tables and figures keep that order."""
 
     @property
     def title(self) -> str:
-        """The folders as seen from beside the report's."""
+        """Paths of the folders relative to the parent of the report's."""
         return " + ".join(own.title for own in self.trainings)
 
     @property
@@ -290,19 +297,18 @@ class Group:
 
     @property
     def length(self) -> list[str]:
-        """Its number of steps in words, where a name has to have it."""
+        """The number of steps in words; empty where names leave it out."""
         return [] if self.one_length else unusual_steps(self.total_steps, self.task)
 
     @property
     def name(self) -> str:
-        """The algorithm with its settings, as tables and figures have it."""
+        """The algorithm with its settings, as tables and figures show it."""
         settings = unusual_settings(self.config, self.task)
         return titled(self.config.algorithm, [*settings, *self.length, self.apart, self.where])
 
     @property
     def full_name(self) -> str:
-        """The name with the number of steps, unless it is the usual one, as files of numbers have
-        it."""
+        """The name with any unusual number of steps, as files of numbers show it."""
         return dataclasses.replace(self, one_length=False).name
 
     @property
@@ -312,13 +318,13 @@ class Group:
 
     @property
     def total_steps(self) -> int:
-        """Environment steps of its longest run: see `derive.told_steps`."""
+        """Environment steps of the longest run: see `derive.told_steps`."""
         return derive.told_steps(self.config.steps, (run.total_steps for run in self.runs))
 
     @property
     def off_policy(self) -> bool:
-        """Whether its algorithm learns from a replay, an episode at a time. Of one that is not
-        registered here a hyper-parameter tells it."""
+        """Whether the algorithm is off-policy: it learns from a replay buffer. If the algorithm is
+        not registered here, a hyper-parameter named `replay_size` decides."""
         name = self.config.algorithm
         if name in ALGORITHMS:
             return ALGORITHMS[name].off_policy
@@ -326,32 +332,32 @@ class Group:
 
     @property
     def is_of_first_cost(self) -> bool:
-        """Whether its cost is the training's first, of which visits, trained policies and replay
-        are."""
+        """Whether the cost is the training's first, which visits, trained policies and the replay
+        show."""
         return self.cost == self.config.costs[0]
 
     @property
     def one_place(self) -> bool:
-        """Whether all complete runs end in one place."""
+        """Whether all complete runs end in one place: see the function `one_place`."""
         return one_place(self.runs)
 
     def values(self, measure: str) -> list[float | None]:
-        """A measure of each complete run."""
+        """Return a measure's value for each complete run."""
         return [run.measures.get(measure) for run in self.runs]
 
     @property
     def limit(self) -> float | None:
-        """The limit of its cost; None where the algorithm does not limit it."""
+        """Limit of the cost; None if the algorithm does not limit it."""
         return self.config.limits.get(self.cost)
 
     @property
     def _prefix(self) -> str:
-        """The beginning of the names of its task's arrays, from the id that its trainings have."""
+        """Prefix of the names of the task's arrays, with the task id that the trainings use."""
         return self.runs[0].prefix.rsplit("/", 2)[0] + "/"
 
     def visits(self) -> list[Visits] | None:
-        """Visited states by third of training, of all complete runs, of which there is one; None
-        without positions."""
+        """Return the states visited by all complete runs, by third of training; None without
+        recorded positions. There must be a complete run."""
         prefix, parts = self._prefix, []
         for own in self.trainings:
             has_runs = not set(self.seeds).isdisjoint(own.config.seeds)
@@ -362,28 +368,28 @@ class Group:
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
         rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
-        # From the costs: before 0.4 archives have EMCC with all ties.
+        # Computed from the costs: archives from before 0.4 hold EMCC with all ties.
         emcc = np.mean([[*r.records.emcc_by_part().values()] for r in self.runs], axis=0)
         thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
         return [Visits(visited, value, *number) for visited, value, number in thirds]
 
     @property
     def recorded(self) -> dict[str, str]:
-        """Units of what its task has recorded at each step, by name."""
+        """Units of the numbers that the task recorded at each step, by name."""
         with content_of(self.trainings[0].path / RESULTS):
             names = self.trainings[0].arrays.get(self._prefix + "info", np.empty((0, 2), str))
             return dict(names.tolist())
 
 
 def under_one_id(groups: Sequence[Group]) -> list[Group]:
-    """The groups, with one id for each task: of the two that ours have, the longer where groups of
-    both are there."""
+    """Return the groups with one id per task: where groups use several ids of a task, one of them
+    the registered id, all get the registered one."""
     there = {group.task for group in groups}
     ids = {task: own for task in there if (own := registered_id(task)) in there}
     return [dataclasses.replace(group, task=ids.get(group.task, group.task)) for group in groups]
 
 
 def name_of_all(groups: Sequence[Group]) -> str:
-    """The name of the folder, archive or report that holds some groups."""
+    """Return the name of the folder, archive or report that holds the groups."""
     own = groups[0].trainings[0]
     return own.title if own.folder == "." else own.title.removesuffix(f"/{own.folder}")

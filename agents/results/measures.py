@@ -1,7 +1,7 @@
-"""The measures of a run: what tables, figures and files of a report show.
+"""The measures of a run: what a report's tables, figures and files show.
 
-A new measure is one entry: `register(Measure(...))`, here or in a user's own module. Every
-rendering goes through `measures()` and takes what a run lacks (None) as missing.
+A new measure is one call, `register(Measure(...))`, here or in a user's own module. All renderings
+iterate over `measures()` and treat None, for what a run lacks, as missing.
 """
 
 from __future__ import annotations
@@ -25,39 +25,42 @@ from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
 @dataclass(frozen=True)
 class Measure:
-    """A number of a run."""
+    """A number that describes a run."""
 
     name: str
-    """The column's name in CSV files; unique."""
+    """Name of the column in CSV files; unique."""
     title: str
-    """The column's head in tables."""
+    """Heading of the column in tables."""
     unit: str
-    """Behind the title, in words; empty for one without."""
+    """Unit, shown after the title; empty if there is none."""
     digits: int
-    """After the decimal point, in tables."""
+    """Digits after the decimal point in tables."""
     better: Literal["lower", "higher", "neither"]
-    """Which value is marked as best."""
+    """Which values are better, to mark the best one."""
     compute: Callable[[RunResult], float | None]
-    """None where the run lacks what it takes. It may raise ValueError for damaged records."""
+    """Computes the value; None where the run lacks the data. May raise ValueError for damaged
+    records."""
     of: Literal["training", "policy"] = "training"
-    """Marks of the trained policy's measures go to the policy of the highest return within the cost
-    limit, whatever the single measure says: see `agents.reporting.tables.best`."""
+    """What is measured. For "policy", tables mark the policy with the highest return that satisfies
+    the cost limit, in all such measures alike: see `agents.reporting.tables.best`."""
     word: str = ""
-    """Its name in sentences, where that is not the title; measures may share one."""
+    """Name in sentences, if not the title; several measures may share a name."""
     note: str = ""
-    """How it is defined, for the legend of tables, where its title does not say it."""
+    """Definition for the legend of tables, where the title does not give it."""
     bounds: Bounds = UNBOUNDED
-    """Where intervals of its mean end."""
+    """Bounds of the values, which intervals of the mean do not exceed."""
     detail: bool = False
-    """Whether a terminal leaves it out."""
+    """Whether tables in a terminal leave the measure out."""
     part: float | None = None
-    """End of the third of training that it is of, which its name ends with; None of the whole."""
+    """End of the third of training that is measured, with which the name ends; None for all of
+    training."""
     shown: bool = True
-    """Whether tables, figures and `report.csv` have a column for it; frames have its rows."""
+    """Whether tables, figures and `report.csv` have a column for the measure; frames always have
+    its rows."""
 
     @property
     def stem(self) -> str:
-        """The name without the part."""
+        """Name without the part."""
         return self.name if self.part is None else self.name.removesuffix(f"_{self.part:g}")
 
     @property
@@ -74,33 +77,33 @@ _REGISTRY: dict[str, Measure] = {}
 
 
 def register(measure: Measure) -> None:
-    """Add a measure to every report. ValueError for a name that is taken."""
+    """Add a measure to every report. Raises ValueError if its name is taken."""
     if measure.name in _REGISTRY:
         raise ValueError(f"there is a measure {measure.name!r} already")
     _REGISTRY[measure.name] = measure
 
 
 def unregister(name: str) -> None:
-    """Remove a measure from every report. KeyError for an unknown one."""
+    """Remove a measure from every report. Raises KeyError for an unknown name."""
     del _REGISTRY[name]
 
 
 def measures(shown: bool = True) -> tuple[Measure, ...]:
-    """The measures with a column, in the order of their registration; shown=False: all of them."""
+    """Return the measures with a column, in order of registration; with shown=False, all."""
     return tuple(m for m in _REGISTRY.values() if m.shown or not shown)
 
 
 def measure(name: str) -> Measure:
-    """The measure of a name. KeyError for an unknown one."""
+    """Return the measure with this name. Raises KeyError for an unknown name."""
     return _REGISTRY[name]
 
 
 def measured(of: RunResult, run: str) -> dict[str, float | None]:
-    """All measures of a run by name.
+    """Compute all measures of a run; return their values by name.
 
-    of: the run, without them yet; run: its name. Raises OwnCodeError where a measure of the user's
-    own raises or gives no finite number; the ValueError of a built-in one says that the run is
-    damaged.
+    of: the run, still without measures; run: its name, for errors. Raises OwnCodeError if a user's
+    own measure raises or returns no finite number. Raises ValueError if a built-in measure does:
+    the run is damaged.
     """
     values: dict[str, float | None] = {}
     for m in measures(shown=False):
@@ -116,13 +119,13 @@ def measured(of: RunResult, run: str) -> dict[str, float | None]:
         except (TypeError, ValueError):
             if m in BUILT_IN:
                 raise ValueError(f"{m.name} is not finite: {value}") from None
-            words = f"must give a finite number or None, on run {run} it gave {reprlib.repr(value)}"
+            words = f"must return a finite number or None; for run {run}, got {reprlib.repr(value)}"
             raise OwnCodeError(f"measure {m.name!r} {words}") from None
     return values
 
 
 def _finite(value: Any) -> float:
-    """A finite number. Raises TypeError or ValueError for anything else."""
+    """Convert a value to a finite float. Raises TypeError or ValueError for anything else."""
     number = as_one(value, "it")
     if not math.isfinite(number):
         raise ValueError(f"not finite: {number}")
@@ -169,7 +172,7 @@ register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy", boun
 _cvar = Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", "CVaR")
 register(replace(_cvar, bounds=COST, detail=True))
 _value = attrgetter("records.mean_streak")
-# Neither is better: streaks may be fewer and longer, or more and shorter.
+# Neither direction is better: streaks may be fewer and longer, or more and shorter.
 _streak = Measure("mean_streak", "mean streak", "steps", 2, "neither", _value, bounds=COST)
 _note = "mean streak: the mean length of training's streaks of cost steps"
 register(replace(_streak, note=_note, detail=True))
@@ -179,4 +182,4 @@ for _part in PARTS:
 _lengths = Measure("length", "length", "steps", 1, "neither", _length, "policy", bounds=COST)
 register(replace(_lengths, shown=False))
 BUILT_IN = measures(shown=False)
-"""The measures of every report: they raise where a run is damaged alone."""
+"""The package's own measures, which raise only for damaged runs."""

@@ -1,4 +1,4 @@
-"""Names of runs: their algorithm with the settings that are not the usual ones; and their order."""
+"""Names of runs, from their algorithm and its unusual settings, and the order of runs."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from agents.results.groups import Group
 
 MOST_CHARACTERS = 40
-"""Characters of a setting's value, at most, in a name."""
+"""Longest value of a setting, in characters, that a name spells out."""
 
 
 def with_names(groups: Sequence[Group], among: Sequence[Group] | None = None) -> list[Group]:
-    """The groups with names that tell them apart.
+    """Return the groups with names that tell them apart.
 
-    An unregistered algorithm has no preset to compare with: it is named by the hyper-parameters in
-    which its groups differ (among: all of them, by default these). Groups of one title on one task
-    are named by their folders too. Where all runs on each task (of `among`) have one length, no
-    name has it.
+    An unregistered algorithm has no preset to compare with: its groups are named by the
+    hyper-parameters in which they differ within `among`, by default `groups`. Groups that would
+    have the same name on a task also get their folders' names. Names leave out the length of runs
+    if on each task all runs of `among` have one length.
     """
     among = groups if among is None else among
     lengths: dict[str, set[int]] = {}
@@ -52,46 +52,47 @@ def _varied(group: Group, among: Sequence[Group]) -> list[str]:
 
 
 def titled(algorithm: str, words: Iterable[str]) -> str:
-    """The title of an algorithm, with words in brackets where there are some."""
+    """Return the title of an algorithm, followed by the words in brackets, if any."""
     told = ", ".join(filter(None, words))
     return title(algorithm) + (f" ({told})" if told else "")
 
 
 def title_of(config: TrainConfig, task: str, steps: int | None = None) -> str:
-    """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
-    asked for."""
+    """Return the algorithm with its unusual settings and length.
+
+    steps: environment steps taken, by default those asked for."""
     words = unusual_settings(config, task) + unusual_steps(steps or config.steps, task)
     return titled(config.algorithm, words)
 
 
 def unusual_settings(config: TrainConfig, task: str) -> list[str]:
-    """Each setting of `changes` in words; of an unregistered algorithm no hyper-parameter: see
-    `with_names`."""
+    """Return each setting of `changes` in words, but no hyper-parameter of an unregistered
+    algorithm: see `with_names`."""
     known = config.algorithm in ALGORITHMS
     changed = changes(config, task) if known else config.task_parameters
     return [setting(name, value) for name, value in changed.items()]
 
 
 def setting(name: str, value: Any) -> str:
-    """A setting in the words of names; of one whose value would fill a table's rows its number of
-    values, or of characters, and a note below the table has the value."""
+    """Return a setting as names show it. For a value too long for a table's row that is its number
+    of entries or characters; a note below the table has the value."""
     if len(str(value)) <= MOST_CHARACTERS or not isinstance(value, (tuple, list, dict, str)):
         return f"{name} {value}"
     return f"{name} [{len(value)}{' characters' * isinstance(value, str)}]"
 
 
 def unusual_steps(steps: int, task: str) -> list[str]:
-    """A training's length, where it is not the usual one: see `presets.usual_steps`."""
+    """Return a training's length in words if it is unusual, else []: see `presets.usual_steps`."""
     return [] if steps == usual_steps(task) else [f"{steps:,} steps"]
 
 
 def changes(config: TrainConfig, task: str) -> dict[str, Any]:
-    """Settings that differ from the preset and from the task as it is registered."""
+    """Return the settings that differ from the preset and from the registered task."""
     return hyperparameter_changes(config, task) | config.task_parameters
 
 
 def hyperparameter_changes(config: TrainConfig, task: str) -> dict[str, Any]:
-    """The hyper-parameters that differ from the preset; all of an unregistered algorithm."""
+    """Return the hyper-parameters that differ from the preset; all of an unregistered algorithm."""
     chosen = dataclasses.asdict(config.hyperparameters)
     if config.algorithm not in ALGORITHMS:
         return chosen
@@ -100,7 +101,7 @@ def hyperparameter_changes(config: TrainConfig, task: str) -> dict[str, Any]:
 
 
 def in_order(groups: Iterable[Group]) -> list[Group]:
-    """Groups in the order in which their folders were given, or else in that of the algorithms."""
+    """Sort groups as their folders were given one by one, or else by the order of algorithms."""
     order = {name: index for index, name in enumerate(ALGORITHMS)}
 
     def place(group: Group) -> int:
@@ -111,7 +112,7 @@ def in_order(groups: Iterable[Group]) -> list[Group]:
 
 
 def publications(groups: Iterable[Group]) -> str:
-    """The publications that print numbers for some groups, in words: "the paper"; "" of none."""
+    """Return the publications with printed numbers for the groups, like "the paper"; "" if none."""
     names = (group.publication.partition(" (")[0] or "print" for group in groups if group.printed)
     return " and ".join(
         f"the {name}" if name[0].islower() else name for name in dict.fromkeys(names)
@@ -119,7 +120,7 @@ def publications(groups: Iterable[Group]) -> str:
 
 
 def by_task(groups: Iterable[Group]) -> dict[str, list[Group]]:
-    """Groups with complete runs by their task, in the order of the algorithms."""
+    """Return the groups with complete runs by task, in the order of `in_order`."""
     tasks: dict[str, list[Group]] = {}
     for group in in_order(groups):
         if group.runs:

@@ -1,7 +1,7 @@
-"""Trained runs from folders and archives, by task, and which are complete.
+"""Read trained runs from folders and archives, group them by task, and tell which are complete.
 
-An archive is a folder of trainings as a zip file: see `agents.results.archive`. Nothing in it is
-unpickled, and reading it runs no code of others.
+An archive is a folder of trainings as a zip file: see `agents.results.archive`. Reading an archive
+unpickles nothing and runs no foreign code.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ CVAR_ALPHA = 0.5
 
 
 class LeftOut(str):
-    """A note on runs, or on a part of a report, that had to be left out."""
+    """A note on runs, or on a part of a report, that were left out."""
 
 
 def left_out(what: str, groups: Sequence[Group], error: UserError) -> LeftOut:
-    """A note on what of some groups a report cannot show, since its arrays are damaged."""
+    """Return a note that a report cannot show `what` for the groups, whose arrays are damaged."""
     words = str(error)
     for training in (own for group in groups for own in group.trainings):
         words = _relative(words, training.path, training.title)
@@ -59,12 +59,13 @@ def read_groups(
     name: str | None = None,
     window: int | None = None,
 ) -> list[Group]:
-    """The runs at or below some folders and in archives, by task; a path may lead into an archive.
+    """Read the runs in folders (searched downwards) and archives; group them by task and cost.
 
-    Folders that differ in their seeds alone count as one. What is missing, damaged or unfinished
-    goes into the notes. name: of what holds all, by default that of the only path. window: episodes
-    of EMCC's windows, by default rollouts. Raises UserError where no run is left, for a window
-    below 1, for a path that is no folder or archive, and where one lies in another.
+    Folders that differ only in their seeds count as one. paths: may lead into an archive. notes:
+    gets an entry for whatever is missing, damaged or unfinished. name: of the whole, by default the
+    name of the only path. window: episodes per window for EMCC, by default rollouts. Raises
+    UserError if no run is left, for a window below 1, for a path that is neither folder nor
+    archive, and if one path lies in another.
     """
     if window is not None and window < 1:
         raise UserError(f"window must be at least 1 episode, got {window}")
@@ -87,17 +88,17 @@ def read_groups(
             unit = "window" if window else "rollout"
             words = f"of its {group.total_steps:,} steps no {unit} starts in that part"
             notes.append(f"{group.title} has no {', '.join(empty)}: {words}")
-    notes[:] = dict.fromkeys(notes)  # of several costs once
+    notes[:] = dict.fromkeys(notes)  # several costs repeat them
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
     pooled = under_one_id(_pooled(groups, notes))
-    if len(sources) == len(paths) > 1:  # a training each
+    if len(sources) == len(paths) > 1:  # each path is one training
         return [replace(group, place=place) for place, group in enumerate(pooled)]
     return pooled
 
 
 def read_folder(path: Path, name: str) -> list[Group]:
-    """The runs of one training. Raises UserError where none is complete."""
+    """Read the runs of one training. Raises UserError if no run is complete."""
     groups = _groups(opened(path), name, name, None)
     if not any(group.runs for group in groups):
         reasons = (note for group in groups for note in _left_out(name, group.missing))
@@ -107,7 +108,7 @@ def read_folder(path: Path, name: str) -> list[Group]:
 
 
 def name_of_source(path: Path) -> str:
-    """The name of a folder; of an archive that of the folder it was made from."""
+    """Return the name of a folder; for an archive, the name of the folder it was made from."""
     archive = archive_of(path)
     if archive is None:
         return path.resolve().name
@@ -119,8 +120,10 @@ def name_of_source(path: Path) -> str:
 
 
 def folders_below(path: Path) -> dict[str, AnyPath]:
-    """Folders of trainings at or below a folder, in an archive, or in a folder of an archive, such
-    as `runs.zip/Circle2D-1-v0`, by their names from there. Raises UserError for anything else."""
+    """Return the training folders at or below `path`, by relative path.
+
+    path: a folder, an archive, or a folder in an archive, such as `runs.zip/Circle2D-1-v0`. Raises
+    UserError for anything else."""
     archive = archive_of(path)
     if archive is None:
         if not path.is_dir():
@@ -132,10 +135,10 @@ def folders_below(path: Path) -> dict[str, AnyPath]:
         root = zipfile.Path(open_zip(archive))
         names = [PurePosixPath(name) for name in root.root.namelist()]
     except UNREADABLE as error:
-        raise UserError(f"{path} is no archive that circle2d report wrote: {error}") from None
+        raise UserError(f"{path} is not an archive by circle2d report: {error}") from None
     folders = [name.parent for name in names if name.name == CONFIG]
     if not folders:
-        raise UserError(f"{archive} is no archive that circle2d report wrote: no {CONFIG} in it")
+        raise UserError(f"{archive} is not an archive by circle2d report: no {CONFIG} in it")
     below = [folder for folder in folders if folder.is_relative_to(within)]
     if not below:
         beside = sorted({f.parts[0] for f in folders if f.parts})
@@ -147,10 +150,10 @@ def folders_below(path: Path) -> dict[str, AnyPath]:
 
 
 def _folders(paths: Sequence[Path], name: str | None) -> dict[str, AnyPath]:
-    """All folders of trainings by a name each.
+    """Return all training folders by a unique name.
 
-    A folder keeps its name where no other path has one of that name; otherwise, and where it is all
-    of its path (`.`), the path stands before it: as many of its last parts as tell the paths apart.
+    A folder keeps its name if no other path has a folder of that name. Otherwise, and if the folder
+    is the path itself (`.`), the name begins with the fewest last parts that tell the paths apart.
     """
     for one, other in itertools.permutations(paths, 2):
         if one.resolve().is_relative_to(other.resolve()):
@@ -174,9 +177,9 @@ def _folders(paths: Sequence[Path], name: str | None) -> dict[str, AnyPath]:
 
 
 def _prefixes(paths: Sequence[Path]) -> list[str]:
-    """The last parts of each path, without an archive's suffix: as few as differ, all equally many.
+    """Return the last parts of each path: the smallest number, the same for all, that differ.
 
-    An archive's suffix stays where nothing else differs.
+    An archive's suffix is left out unless nothing else differs.
     """
     resolved = [path.resolve() for path in paths]
     short = [path.with_suffix("") if path.is_file() else path for path in resolved]
@@ -189,7 +192,9 @@ def _prefixes(paths: Sequence[Path]) -> list[str]:
 
 
 def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
-    """`results.npz` of a training, or what it would hold by now. Raises UserError."""
+    """Return the arrays of a training's `results.npz`, or what the file would hold now.
+
+    Raises UserError if they cannot be read."""
     if (path / RESULTS).is_file() or not isinstance(path, Path):
         return Arrays(path / RESULTS)
     checkpoints = list(numbered(path, CHECKPOINTS).values())
@@ -198,7 +203,7 @@ def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
 
 
 def _groups(path: AnyPath, folder: str, title: str, window: int | None) -> list[Group]:
-    """The runs of a folder: a group for each task and cost."""
+    """Read the runs of a folder: one group for each task and cost."""
     config = TrainConfig.parse(read_json(path / CONFIG), title, strict=False)
     training = Training(path, folder, title, results_of(path, config), config)
     groups = []
@@ -217,12 +222,12 @@ def _groups(path: AnyPath, folder: str, title: str, window: int | None) -> list[
 
 
 def _relative(error: object, path: AnyPath, title: str) -> str:
-    """An error's words with paths as seen from beside the report's folder: they name no machine."""
+    """Return an error's text with `title` in place of the path, so that it names no machine."""
     return str(error).replace(str(path), title)
 
 
 def _left_out(folder: str, missing: Mapping[int, str]) -> list[LeftOut]:
-    """A note for each reason, with the seeds that have it."""
+    """Return a note for each reason, naming the seeds that it applies to."""
     seeds: dict[str, list[int]] = {}
     for seed, why in missing.items():
         seeds.setdefault(why, []).append(seed)
@@ -234,8 +239,8 @@ def _named(seeds: Sequence[int]) -> str:
 
 
 def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
-    """Episodes of a run so far, none of one without a checkpoint yet or that failed in its first
-    epoch. Raises UserError where they are damaged."""
+    """Return the records of a run's episodes so far. They are empty before the first checkpoint and
+    if the first epoch failed. Raises UserError if they are damaged."""
     if f"{run.prefix}length" not in arrays:
         return CostRecorder(1).records
     try:
@@ -247,7 +252,7 @@ def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> Episode
 
 
 def _read_run(training: Training, run: RunId, cost: str, window: int | None) -> RunResult:
-    """A complete run. Raises UserError for another."""
+    """Read a complete run. Raises UserError if the run is incomplete or damaged."""
     arrays, config = training.arrays, training.config
     if f"{run.prefix}failure" in arrays:
         raise UserError(str(arrays[f"{run.prefix}failure"]))
@@ -285,7 +290,7 @@ def _read_run(training: Training, run: RunId, cost: str, window: int | None) -> 
 
 
 def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[str, dict[str, Any]]:
-    """Means and values per episode of each policy that was evaluated."""
+    """Return means and values per episode for each evaluated policy."""
     evaluation: dict[str, dict[str, Any]] = {}
     for policy in POLICIES:
         prefix = f"{run.prefix}evaluation/{policy}/"
@@ -309,7 +314,7 @@ def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[st
 def _places(
     arrays: Mapping[str, NDArray], prefix: str
 ) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
-    """Episodes by the place where they end, and those of each place by the way to it."""
+    """Count the episodes that end in each place, and in each place by the way to it."""
     if prefix + "places" not in arrays:
         return {}, {}
     places = arrays[prefix + "places"].tolist()
@@ -322,10 +327,10 @@ def _places(
 
 
 def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
-    """The groups, those that differ in their seeds alone as one, which is noted.
+    """Merge groups that differ only in their seeds, and note each merge.
 
-    A group stays alone where one of these has a seed that another has too: one of the two is a
-    second training of the same runs, which must not count twice.
+    Such groups stay separate if two of them share a seed: one of the two is a second training of
+    the same run, which must not count twice.
     """
     settings, alike = [], []
     for group in groups:
@@ -357,7 +362,7 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
 
 
 def _settings(group: Group) -> tuple[Any, ...]:
-    """Key under which groups are pooled: everything but the seeds; 5 equals 5.0."""
+    """Return the key by which groups are pooled: all settings but the seeds; 5 equals 5.0."""
     config = group.config
     training = (config.algorithm, config.steps, config.costs, config.task_parameters)
     return group.task, group.cost, *training, asdict(config.hyperparameters)

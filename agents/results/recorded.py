@@ -1,5 +1,5 @@
-"""Statistics, for tables, of a number that a task has recorded at each step: from the steps, or
-from an archive, which keeps no steps."""
+"""Statistics, for tables, of a number that a task recorded at each step, computed from the steps or
+read from an archive, which keeps no steps."""
 
 from __future__ import annotations
 
@@ -21,29 +21,34 @@ Above = Callable[[float], dict[float, float | None]]
 
 
 class Recorded(NamedTuple):
-    """A number of a run's steps. Rows are the thirds of training, and the last steps after them."""
+    """Statistics of a number recorded at each step of a run.
+
+    Rows of the arrays are the three thirds of training and the steps that are in no third."""
 
     lowest: float
-    """The smallest value, of all steps."""
+    """The smallest value over all steps."""
     steps: NDArray[np.int64]
-    """[4]"""
+    """[4]: number of steps"""
     values: NDArray[np.float64]
-    """[V]: the different values above 0 to three digits, rising"""
+    """[V]: the distinct values above 0, to three digits, ascending"""
     counts: NDArray[np.int64]
-    """[4, V]: steps with each"""
+    """[4, V]: number of steps with each value"""
     most: NDArray[np.float64]
-    """[4]: the largest value, exactly"""
+    """[4]: the largest value, exact; at least 0"""
     emcc_above: Above
-    """EMCC by third of the steps above a threshold, which an archive rounds down to two digits;
-    None where no rollout starts, and in an archive for windows of episodes."""
+    """EMCC of each third, where a step costs if its number is above the given threshold; an archive
+    rounds the threshold down to two digits. None where no rollout starts in the third, and for
+    windows of episodes in an archive."""
 
     def above_0(self, row: int | slice = slice(None)) -> NDArray[np.float64]:
-        """The values above 0 in a row, or in all, to three digits."""
+        """Return the values above 0 of one row, or of all, to three digits."""
         return np.repeat(self.values, np.atleast_2d(self.counts[row]).sum(axis=0))
 
 
 def of_steps(values: NDArray[np.float64], records: EpisodeRecords, window: int | None) -> Recorded:
-    """values: [steps]. records: of the run. window: episodes of EMCC's windows, None: rollouts."""
+    """Compute the statistics from the values of steps.
+
+    values: [steps]. records: of the run. window: episodes per window for EMCC; None: rollouts."""
     parts = [*rollouts_by_part(np.arange(len(values)), len(values)).values()]
     rows = [values[part] for part in (*parts, ~np.any(parts, axis=0))]
     rounded = [three_digits(row[row > 0]) for row in rows]
@@ -63,20 +68,20 @@ def _emcc_above(
     window: int | None,
     threshold: float,
 ) -> dict[float, float | None]:
-    """lengths: values of each episode."""
+    """Return EMCC by third for values above the threshold; lengths: values per episode."""
     streaks = longest_streaks(values, lengths, threshold)
     changed = replace(records, longest_streak=streaks, cost_steps=None, streaks=None)
     return emcc_of_thirds(changed, records.total_steps, window=window)
 
 
 def packed(values: NDArray[np.float64], records: EpisodeRecords) -> dict[str, NDArray]:
-    """The arrays that an archive keeps of the number; `unpacked` reads them."""
+    """Return the arrays that an archive keeps of a recorded number; `unpacked` reads them."""
     told = of_steps(values, records, None)
     kept = {name: np.array(getattr(told, name)) for name in ("lowest", "steps", "most")}
-    if told.lowest < 0:  # no table tells more
+    if told.lowest < 0:  # tables show no more than this
         return kept
     kept |= {"values": told.values.astype(np.float32), "counts": told.counts.astype(np.int32)}
-    # Of steps at 0 one behind each streak is enough, and one in each episode.
+    # Of the steps at 0, one after each streak and one in each episode are enough.
     first = np.cumsum(records.length) - records.length
     needed = (values > 0) | np.append(True, values[:-1] > 0)
     needed[first] = True
@@ -89,8 +94,8 @@ def packed(values: NDArray[np.float64], records: EpisodeRecords) -> dict[str, ND
 
 
 def two_digits(least: float, most: float) -> NDArray[np.float64]:
-    """0, and the numbers of two digits from the last that is at most `least` to the first that is
-    at least `most`, both above 0."""
+    """Return 0 and all two-digit numbers from `least`, rounded down, to `most`, rounded up, both
+    above 0."""
     powers = range(math.floor(math.log10(least)) - 1, math.floor(math.log10(most)) + 2)
     numbers = np.array([float(f"{k}e{power - 1}") for power in powers for k in range(10, 100)])
     first, last = np.searchsorted(numbers, least, "right") - 1, np.searchsorted(numbers, most)
@@ -98,7 +103,7 @@ def two_digits(least: float, most: float) -> NDArray[np.float64]:
 
 
 def unpacked(arrays: Mapping[str, NDArray], prefix: str, window: int | None) -> Recorded:
-    """arrays: of an archive; prefix: before the names of `packed`."""
+    """Read the statistics that `packed` wrote from an archive's arrays; prefix: of their names."""
     lowest, steps, most = (arrays[prefix + name] for name in ("lowest", "steps", "most"))
     nothing = np.zeros((len(PARTS) + 1, 0))
     values = three_digits(arrays.get(prefix + "values", nothing[0]))

@@ -1,7 +1,7 @@
-"""Statistics of runs, which call `emcc`.
+"""Statistics of runs, computed with `emcc`.
 
-A measure that one of the runs lacks has no mean over them. Each number has a random generator of
-its own: none depends on which others are asked for.
+A measure has no mean over runs if one of them lacks it. Each statistic has its own random
+generator, so that it does not depend on which others are computed.
 """
 
 from __future__ import annotations
@@ -30,27 +30,28 @@ Values = Sequence[float | None]
 Pair = tuple[Group, Group]
 
 LEVEL = 0.05
-"""Level of every test: p values up to it tell a difference."""
+"""Significance level of all tests: a p value up to it shows a difference."""
 MARGIN = 0.02
-"""Cost per step. Cost rates are printed to two digits; two of the last ones are taken as equal."""
+"""Margin of the equivalence test, in cost per step: cost rates are printed to two decimals, and a
+difference of up to two units in the last one counts as none."""
 INTERVALS = (
     f"[95 % t interval over seeds], or the range of fewer than {FEWEST_RUNS} seeds and of seeds "
     "that end in different places"
 )
-"""The intervals of means in words. They end where no value can be beyond: a cost at 0."""
+"""The intervals of means in words. They are cut at the bounds of the values: a cost's at 0."""
 
 
 def known(values: Values) -> list[float] | None:
-    """The values, or None where there are none or one is unknown (None or NaN)."""
+    """Return the values, or None if there are none or one is unknown (None or NaN)."""
     numbers = [value for value in values if value is not None and not math.isnan(value)]
     return numbers if numbers and len(numbers) == len(values) else None
 
 
 def mean_of(values: Values, one_place: bool = True, bounds: Bounds = UNBOUNDED) -> Interval | None:
-    """Mean over runs with its 95 % t interval; with its range where there are fewer than five.
+    """Return the mean over runs with its 95 % t interval, or with the range of few values.
 
-    one_place: whether all end in the same place; the mean of others has its range too. bounds: see
-    `emcc.mean_interval`.
+    one_place: whether all runs end in the same place. If not, or with fewer than five runs, the
+    interval is the range of the values. bounds: see `emcc.mean_interval`.
     """
     numbers = known(values)
     if numbers is None:
@@ -62,10 +63,10 @@ def mean_of(values: Values, one_place: bool = True, bounds: Bounds = UNBOUNDED) 
 
 
 def difference_of(a: Values, b: Values, one_place: bool = True) -> Interval | None:
-    """Mean over the runs of `b` less that over `a`, with Welch's 95 % t interval.
+    """Return the mean of `b` minus the mean of `a`, with Welch's 95 % t interval.
 
-    None for its ends where a side has fewer than five runs, or not one_place: not all runs of
-    either side end in one place.
+    one_place: whether all runs of each side end in one place. If not, or if a side has fewer than
+    five runs, both ends of the interval are None.
     """
     first, second = known(a), known(b)
     if first is None or second is None:
@@ -75,13 +76,13 @@ def difference_of(a: Values, b: Values, one_place: bool = True) -> Interval | No
 
 
 def p_of(a: Values, b: Values) -> float | None:
-    """P value of the permutation test; None where a side has fewer than two runs."""
+    """Return the p value of the permutation test; None if a side has fewer than two runs."""
     sides = _two_sides(a, b)
     return sides and emcc.permutation_test(*sides, rng=np.random.default_rng(0))
 
 
 def equivalence_of(a: Values, b: Values, margin: float) -> float | None:
-    """P value of the equivalence test; None where a side has fewer than two runs."""
+    """Return the p value of the equivalence test; None if a side has fewer than two runs."""
     sides = _two_sides(a, b)
     return sides and emcc.equivalence_test(*sides, margin, rng=np.random.default_rng(0))
 
@@ -94,26 +95,26 @@ def _two_sides(a: Values, b: Values) -> tuple[list[float], list[float]] | None:
 
 
 def group_mean(group: Group, name: str) -> Interval | None:
-    """Mean of a measure over a group's runs: see `mean_of`."""
+    """Return the mean of a measure over a group's runs: see `mean_of`."""
     return mean_of(group.values(name), group.one_place, measure(name).bounds)
 
 
 def places(group: Group) -> dict[str, Share]:
-    """Share of a group's runs that end in each place, by each way there, the most frequent first;
-    empty without."""
+    """Return the share of a group's runs that end in each place by each way there, the most
+    frequent first; empty for a task without named places."""
     ends = [run.place for run in group.runs if run.place]
     counted = sorted(dict.fromkeys(ends), key=lambda place: -ends.count(place))
     return {place: emcc.share(ends.count(place), len(group.runs)) for place in counted}
 
 
 def common_limit(groups: Collection[Group]) -> float | None:
-    """The one cost limit that groups share; None if they limit other costs, or at other values."""
+    """Return the cost limit that all groups share; None if their costs or limits differ."""
     limits, costs = {group.limit for group in groups} - {None}, {group.cost for group in groups}
     return limits.pop() if len(limits) == len(costs) == 1 else None
 
 
 def within_limit(group: Group) -> Share | None:
-    """Share of a group's runs whose J_C is within its limit; None where that is not known."""
+    """Return the share of a group's runs whose J_C satisfies the limit; None if unknown."""
     costs, limit = known(group.values("J_C")), group.limit
     if costs is None or limit is None:
         return None
@@ -121,19 +122,19 @@ def within_limit(group: Group) -> Share | None:
 
 
 class Difference(NamedTuple):
-    """A measure of two groups A and B; None for what is not known."""
+    """Comparison of two groups A and B by one measure; unknown values are None."""
 
     gap: Interval | None
     """B - A: see `difference_of`."""
     p: float | None
-    """Permutation test, not corrected."""
+    """P value of the permutation test, not corrected."""
     better: Interval | None
-    """Probability that a run of B is better than one of A, with its bootstrap interval; None for a
-    measure of which neither direction is better."""
+    """Probability that a run of B is better than a run of A, with its bootstrap interval; None for
+    a measure without a better direction."""
 
 
 def differences(a: Group, b: Group) -> dict[str, Difference]:
-    """The measures of two groups by name."""
+    """Compare two groups by each measure, by name."""
     told = {}
     for m in measures():
         sides = a.values(m.name), b.values(m.name)
@@ -145,14 +146,14 @@ def differences(a: Group, b: Group) -> dict[str, Difference]:
 def _better(m: Measure, a: list[float] | None, b: list[float] | None) -> Interval | None:
     if a is None or b is None or m.better == "neither":
         return None
-    # `emcc` has the probability that the second is lower.
+    # `emcc` gives the probability that the second is lower.
     sides = (a, b) if m.better == "lower" else (b, a)
     rng = np.random.default_rng(0)
     return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
 
 
 def only(asked: Collection[str] | None, told: Mapping[str, Difference]) -> Mapping[str, Difference]:
-    """The differences with p values of the measures alone that are asked about; None: of all."""
+    """Return the differences, keeping p values only for the measures in `asked`; None: for all."""
     if asked is None:
         return told
     return {m: d if m in asked else d._replace(p=None) for m, d in told.items()}
@@ -161,8 +162,9 @@ def only(asked: Collection[str] | None, told: Mapping[str, Difference]) -> Mappi
 def holm(
     tested: Mapping[Key, Mapping[str, Difference]],
 ) -> tuple[dict[Key, dict[str, Difference]], int]:
-    """The differences of all pairs with their p values corrected for their number by Holm's method,
-    and that number. Those not known stay so."""
+    """Correct the p values of all pairs and measures together by Holm's method.
+
+    Returns the differences and the number of p values; unknown p values stay None."""
     known = [(k, m, d.p) for k, told in tested.items() for m, d in told.items() if d.p is not None]
     adjusted = emcc.holm([p for *_, p in known]) if known else ()
     p_values = {(k, m): float(p) for (k, m, _), p in zip(known, adjusted, strict=True)}
@@ -174,18 +176,18 @@ def holm(
 
 
 def by_third(group: Group, stem: str) -> dict[float, list[float]]:
-    """A measure of each run, by the thirds of training that all runs have.
+    """Return a measure's value in each run, by third of training, for thirds that all runs have.
 
-    stem: "EMCC" or "rate", the cost rate of a third.
+    stem: "EMCC", or "rate" for the cost rate of a third.
     """
     values = {part: known(group.values(f"{stem}_{part}")) for part in PARTS}
     return {part: of_runs for part, of_runs in values.items() if of_runs is not None}
 
 
 ACROSS = 10
-"""Episodes of the windows over which EMCC is taken where on- and off-policy algorithms are
-compared. A rollout is ten episodes of the paper's on-policy methods, one of the others, and MCC, a
-maximum over it, rises with its size."""
+"""Episodes per window over which EMCC is taken to compare on- and off-policy algorithms. A rollout
+has ten episodes for the paper's on-policy methods and one for the off-policy ones, and MCC, a
+maximum over the rollout, rises with the rollout's size."""
 ACROSS_WORDS = (
     f"EMCC is taken over windows of {ACROSS} episodes here, since the rollouts of on- and "
     "off-policy algorithms differ in size."
@@ -193,7 +195,7 @@ ACROSS_WORDS = (
 
 
 def over_windows(group: Group, window: int = ACROSS) -> Group:
-    """The group with measures of thirds over windows, which runs that have some already keep."""
+    """Return the group with measures of thirds over windows; runs that have windows keep them."""
     return replace(group, runs=[_over_windows(run, window) for run in group.runs])
 
 
@@ -206,23 +208,23 @@ def _over_windows(run: RunResult, window: int) -> RunResult:
 
 
 def mixed(groups: Iterable[Group]) -> bool:
-    """Whether on- and off-policy algorithms are among the groups, and EMCC is by rollouts."""
+    """Whether groups with EMCC over rollouts include both on- and off-policy algorithms."""
     there = [group for group in groups if any(run.window is None for run in group.runs)]
     return len({group.off_policy for group in there}) > 1
 
 
 def alike(groups: Sequence[Group]) -> list[Group]:
-    """The groups with EMCC that can be compared: over windows where families are mixed."""
+    """Return the groups with comparable EMCC: over windows where `mixed`."""
     return [over_windows(group) for group in groups] if mixed(groups) else list(groups)
 
 
 def comparisons(groups: Sequence[Group]) -> pandas.DataFrame:
-    """A row for each pair of groups on a task, of one cost, in each third of training. Groups of
-    fewer than five runs are in none.
+    """Return a row for each pair of groups with the same task and cost and each third of training.
 
-    a, b: the groups. part: the third, as in `emcc.parts.PARTS`. rate_p: permutation test of the
-    cost rates; equivalence_p: their equivalence test with `MARGIN`; equal_rates: they are
-    equivalent, and not told apart. emcc_p: permutation test of EMCC, corrected for all rows (Holm).
+    Groups of fewer than five runs are left out. Columns: a, b: the groups. part: the third, as in
+    `emcc.parts.PARTS`. rate_p: p value of the permutation test of the cost rates; equivalence_p: of
+    their equivalence test with `MARGIN`; equal_rates: whether the rates are equivalent and do not
+    differ significantly. emcc_p: p value of the permutation test of EMCC, Holm-corrected over rows.
     """
     import pandas as pd
 
@@ -242,16 +244,16 @@ def comparisons(groups: Sequence[Group]) -> pandas.DataFrame:
 
 
 def common_measures() -> list[Measure]:
-    """Measures with a scale that tasks share, and a better direction: of training, not of the
-    trained policy, whose returns and costs have no common scale."""
+    """Return the measures that can be averaged over tasks: those of training with a better
+    direction. The trained policy's returns and costs have no common scale."""
     return [m for m in measures() if m.of == "training" and m.better != "neither"]
 
 
 def on_common_seeds(groups: Sequence[Group], fewest: int) -> dict[str, NDArray[np.float64]]:
-    """Measures that tasks share, [seeds, tasks], of the seeds that the groups, one of each task,
-    have in common; those known alone.
+    """Return the `common_measures` by name, each [seeds, tasks], on the seeds that all groups have.
 
-    Empty where these seeds are fewer than `fewest`.
+    groups: one for each task. Leaves out measures with an unknown value; empty if the groups share
+    fewer than `fewest` seeds.
     """
     seeds = sorted(set.intersection(*(set(group.seeds) for group in groups)))
     if len(seeds) < fewest:
@@ -265,17 +267,16 @@ def on_common_seeds(groups: Sequence[Group], fewest: int) -> dict[str, NDArray[n
 
 
 def bootstrapped(statistic: Callable[..., float], *sets: NDArray[np.float64]) -> Interval:
-    """A statistic of values [seeds, tasks] with its stratified interval."""
+    """Return a statistic of values [seeds, tasks] with its stratified bootstrap interval."""
     return emcc.bootstrap(statistic, *sets, rng=np.random.default_rng(0), resamples=1_000)
 
 
 def differences_of_sets(
     a: Mapping[str, NDArray], b: Mapping[str, NDArray], gaps: bool = True
 ) -> dict[str, Difference]:
-    """B - A of the means over seeds and tasks, by the measures that tasks share.
+    """Compare the means over seeds and tasks, B - A, by each of the `common_measures`.
 
-    a, b: see `on_common_seeds`. gaps: whether the differences themselves are asked for, besides the
-    test.
+    a, b: see `on_common_seeds`. gaps: whether to compute the differences besides the tests.
     """
     told = {}
     for m in common_measures():
@@ -291,12 +292,14 @@ def differences_of_sets(
 
 
 OverTasks = Mapping[tuple[str, str, str], Mapping[str, Difference]]
-"""Differences B - A over tasks by the pair's name, "4 tasks" and "10 seeds against 10"."""
+"""Differences B - A over tasks; key: the pair's name, "4 tasks" and "10 seeds against 10"."""
 
 
 def pairs_over_tasks(named: Iterable[tuple[str, Pair]]) -> OverTasks:
-    """The differences of groups A and B, a pair for each task, by their name; of those that are
-    there on two tasks or more, with two seeds or more that all tasks have."""
+    """Compare groups A and B over tasks, for each name of a pair.
+
+    named: names with pairs, one pair for each task. Only names with at least two tasks, and at
+    least two seeds that all tasks share, are compared."""
     by_name: dict[str, list[Pair]] = {}
     for name, pair in named:
         by_name.setdefault(name, []).append(pair)

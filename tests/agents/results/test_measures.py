@@ -142,7 +142,7 @@ def test_a_measure_that_gives_no_number_is_named(tmp_path, value):
     register(Measure("mine", "mine", "", 2, "lower", lambda run: value))
     try:
         with pytest.raises(
-            OwnCodeError, match=r"'mine' must give a finite number or None, on run .*seed 0"
+            OwnCodeError, match=r"'mine' must return a finite number or None; for run .*seed 0"
         ):
             report(tmp_path)
     finally:

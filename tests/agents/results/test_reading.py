@@ -226,7 +226,7 @@ def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
     with zipfile.ZipFile(tmp_path / "none.zip", "w") as file:
         file.writestr("readme", "")
     for name in ("foreign", "cut", "none"):
-        with pytest.raises(UserError, match=f"{name}.zip is no archive that circle2d report wrote"):
+        with pytest.raises(UserError, match=f"{name}.zip is not an archive by circle2d report"):
             read_groups([tmp_path / f"{name}.zip"], [])
     for name, content in (
         ("both/results.npz", None),
