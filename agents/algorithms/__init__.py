@@ -1,4 +1,4 @@
-"""The algorithms by name: the built-in ones, a file each, and those that users register."""
+"""Registry of algorithms: the built-in ones, one file each, and those that users register."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ BUILT_IN = (
     *("crpo", "pcpo", "c-trpo", "rcpo", "sac-pid", "cal", "trpo-pid"),
     *("ppo-saute", "trpo-saute"),
 )
-"""Each a module of this package that defines `ALGORITHM`. `ppo` and `sac` know no constraint."""
+"""Names of the built-in algorithms, each with a module of this package that defines `ALGORITHM`.
+`ppo` and `sac` have no constraint."""
 
 
 RESERVED = (
@@ -32,85 +33,85 @@ RESERVED = (
     *("tensorboard", "on_epoch", "progress", "engine", "address", "grid", "workers"),
     *("evaluation_episodes", "imports"),
 )
-"""Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`, which no
-hyper-parameter can be named like."""
+"""Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`: names that no
+hyper-parameter may have."""
 
 
 class Learner(Protocol):
-    """The runs of one algorithm, as the training loop sees them: what a family provides.
+    """Interface of a family of algorithms to the training loop: the runs of one algorithm.
 
     R runs train side by side, and none depends on the others.
 
-    Arrays of the state whose names are `actor` or begin with `actor.` are those that the policy
-    depends on: a trained policy is loaded from them alone. For `to_torch` a learner also has a
-    method `module(run)`: its deterministic policy as an `nn.Module`, observations -> actions. Where
-    these are not those of `policy`, `to_torch` is refused.
+    Arrays of `state_dict` named `actor` or `actor.*` are all that the policy depends on: a trained
+    policy is loaded from these alone. For `to_torch` a learner also has a method `module(run)`,
+    which returns the deterministic policy as an `nn.Module`, observations -> actions. `to_torch`
+    raises UserError where the module's actions differ from those of `policy`.
     """
 
     episodes: int
-    """Whole episodes of each run in an epoch."""
+    """Number of whole episodes that a run plays in an epoch."""
     metrics: tuple[str, ...]
     """Names of the numbers that `learn` returns."""
 
     def policy(self) -> Policy:
-        """The policy of every run as it stands now."""
+        """Return the current policy of every run."""
         ...
 
     def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
-        """Actions of the runs in an epoch; steps: [R], environment steps each has taken before."""
+        """Return the function that acts in an epoch; steps: [R], environment steps taken before."""
         ...
 
     def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
         """Learn from an epoch of R·E episodes; active: [R], runs that take part.
 
-        Returns each of `metrics`, [R, metrics]; NaN for runs that learned nothing.
+        Returns the values of `metrics`, [R, metrics]; NaN for runs that learned nothing.
         """
         ...
 
     def finite(self) -> NDArray[np.bool_]:
-        """Mask of the runs that hold only finite numbers, [R]."""
+        """Return a mask [R] of the runs whose numbers are all finite."""
         ...
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The whole training state as named arrays, the run axis first."""
+        """Return the whole training state as named arrays; their first axis is that of runs."""
         ...
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state, bit for bit. KeyError or ValueError for one that does not fit."""
+        """Load a state, bit for bit. Raises KeyError or ValueError if it does not fit."""
         ...
 
 
 class Algorithm(NamedTuple):
-    """An algorithm: its title in tables, its hyper-parameters, its rule, its family, its speed."""
+    """An algorithm: its title in tables, hyper-parameters, rule, family and speed."""
 
     title: str
     config: type
-    """A frozen dataclass in which every hyper-parameter has a default, a text below it, and a name
-    that is not `RESERVED`. Two methods are asked for where it has them: `wrap(env, costs,
-    time_limit)` returns an Env or a VectorEnv of the task, which need not reset itself, as policies
-    see it, in training, in evaluations and in films (costs: their names in the infos; time_limit:
-    of the task, or None); `relabelled(rollout)` the `Rollout` that is learned from, while records
-    keep the task's. Where `wrap` adds costs to the infos, `added_costs(costs)` returns their names;
-    they are recorded behind those that the rule of the class limits."""
+    """Frozen dataclass of the hyper-parameters. Each has a default, a text below it, and a name
+    that is not in `RESERVED`. Three methods are optional. `wrap(env, costs, time_limit)` returns an
+    Env or a VectorEnv of the task as policies see it in training, evaluations and films; it need
+    not reset itself (costs: their names in the infos; time_limit: of the task, or None).
+    `relabelled(rollout)` returns the `Rollout` to learn from; records keep the original.
+    `added_costs(costs)` returns the names of the costs that `wrap` adds to the infos; they are
+    recorded right after the costs that `rule` learns."""
     rule: Any
-    """The part that the algorithm adds to its family, which receives it."""
+    """What the algorithm adds to its family, such as a `CostRule`; passed to `family`."""
     family: Callable[..., Learner]
-    """(config, rule, seeds, observation size, action size) -> the runs, ready to be trained. Where
-    it has an attribute `takes`, these are the types of config and rule; `off_policy` says that it
-    learns from a replay."""
+    """(config, rule, seeds, observation size, action size) -> a new `Learner`. Optional attributes:
+    `takes`, the types of config and rule; `off_policy`, whether the family learns from a replay
+    buffer."""
     work: float = 7.5
-    """Time of a step on Circle2D, in that of TRPO-Lag's; by default that of the slowest built-in
-    one. Decides the order of a grid (what takes longest goes first) and the time left that is
-    shown; no result."""
+    """Time of an environment step on Circle2D, relative to TRPO-Lag; the default is that of the
+    slowest built-in algorithm. It decides the order of a grid, longest training first, and the time
+    left that is shown, but no result."""
 
     @property
     def off_policy(self) -> bool:
-        """Whether it learns from a replay, as its family says."""
+        """Whether the algorithm learns from a replay buffer, according to its family."""
         return getattr(self.family, "off_policy", False)
 
 
 class _Algorithms(Mapping[str, Algorithm]):
-    """Name -> algorithm; a built-in one is imported when it is asked for."""
+    """Mapping from name to algorithm; a built-in algorithm is imported when it is looked up."""
 
     def __init__(self) -> None:
         self.registered: dict[str, Algorithm] = {}
@@ -139,18 +140,19 @@ ALGORITHMS: Mapping[str, Algorithm] = _algorithms
 def register(name: str, algorithm: Algorithm) -> None:
     """Register an algorithm under a name, for training, the command line and reports.
 
-    The module that registered a name may do so again, such as a notebook whose cell runs again; the
-    new algorithm takes its place. Raises UserError where the name is taken or cannot name a folder,
-    or a hyper-parameter has the name of an option, and TypeError where `algorithm` is no
-    `Algorithm` or its config no frozen dataclass with a default for every field, and ValueError
-    where a multiplier or a limit is of a cost, or names a hyper-parameter, that is not there.
+    The module that registered a name may register it again, as a notebook cell that is run twice
+    does; the new algorithm replaces the old one. Raises UserError if the name is taken or cannot
+    name a folder, or if a hyper-parameter has the name of an option; TypeError if `algorithm` is no
+    `Algorithm`, its config no frozen dataclass with a default for every field, or its family takes
+    another config or rule; ValueError if a limit or a multiplier refers to a cost or a
+    hyper-parameter that does not exist.
     """
     words = name.split("-") if isinstance(name, str) else [""]
     if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
         raise UserError(f"an algorithm's name is lower-case words joined by '-', got {name!r}")
     module = sys._getframe(1).f_globals.get("__name__", "__main__")
     if name in ALGORITHMS and _algorithms.modules.get(name) != module:
-        raise UserError(f"algorithm {name!r} is there already: choose another name")
+        raise UserError(f"algorithm {name!r} is registered already: choose another name")
     if not isinstance(algorithm, Algorithm):
         raise TypeError(f"register expects an agents.algorithms.Algorithm, got {algorithm!r}")
     config = algorithm.config
@@ -163,11 +165,11 @@ def register(name: str, algorithm: Algorithm) -> None:
             raise TypeError(f"{config.__name__}.{field.name} of {name!r} needs a default")
         if field.name in RESERVED:
             raise UserError(
-                f"{config.__name__}.{field.name} of {name!r} is named like an option of training: "
+                f"{config.__name__}.{field.name} of {name!r} has the name of a training option: "
                 "choose another name"
             )
     if not callable(algorithm.family):
-        raise TypeError(f"the family of {name!r} must make a Learner, got {algorithm.family!r}")
+        raise TypeError(f"the family of {name!r} must return a Learner, got {algorithm.family!r}")
     of_config, of_rule = getattr(algorithm.family, "takes", (object, object))
     if not issubclass(config, of_config) or not isinstance(algorithm.rule, of_rule):
         raise TypeError(
@@ -180,8 +182,8 @@ def register(name: str, algorithm: Algorithm) -> None:
 
 
 def _check_limits(name: str, algorithm: Algorithm) -> None:
-    """Raise ValueError where a limit is of a cost that is not learned, or a multiplier follows one,
-    and where they name a hyper-parameter that the config lacks."""
+    """Raise ValueError if a limit or a multiplier refers to a cost that is not learned, or to a
+    hyper-parameter that the config lacks."""
     rule, there = algorithm.rule, [field.name for field in dataclasses.fields(algorithm.config)]
     limits, multipliers = getattr(rule, "limits", ()), getattr(rule, "multipliers", ())
     if len(limits) > getattr(rule, "costs", len(limits)):
@@ -203,14 +205,14 @@ def _check_limits(name: str, algorithm: Algorithm) -> None:
 
 
 def module_of(name: str) -> str:
-    """The module whose import makes an algorithm known; "__main__" for the running script."""
+    """Return the module whose import registers an algorithm; "__main__" for the running script."""
     if name in BUILT_IN:
         return f"{__name__}.{name.replace('-', '_')}"
     return _algorithms.modules[name]
 
 
 def algorithm(name: str) -> Algorithm:
-    """The algorithm of that name. Raises UserError, naming the valid ones, for another."""
+    """Return the algorithm of that name. Raises UserError, naming valid ones, if there is none."""
     if not isinstance(name, str):
         raise UserError(f"algorithm must be a name, like 'sac-lag', got {name!r}")
     if name not in ALGORITHMS:
@@ -219,13 +221,13 @@ def algorithm(name: str) -> Algorithm:
 
 
 def title(name: str) -> str:
-    """Title of an algorithm in tables; its name where it is not registered."""
+    """Return the title of an algorithm in tables, or its name if it is not registered."""
     return ALGORITHMS[name].title if name in ALGORITHMS else name
 
 
 def learner(
     name: str, config: Any, seeds: Sequence[int], observation_size: int, action_size: int
 ) -> Learner:
-    """The runs of an algorithm, ready to be trained."""
+    """Return a new learner for the runs of an algorithm."""
     found = algorithm(name)
     return found.family(config, found.rule, seeds, observation_size, action_size)

@@ -1,4 +1,4 @@
-"""C-TRPO: a trust region of safe policies alone, whose divergence grows towards the cost limit.
+"""C-TRPO: a trust region of only safe policies: its divergence grows towards the cost limit.
 
 Source: Milosevic, Müller & Scherf 2025, "Embedding safety into RL: a new take on trust region
 methods", algorithm 1, and the authors' code.
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm, trpo_lag
-from agents.algorithms.crpo import advantage  # of the reward, or in recovery against the cost
+from agents.algorithms.crpo import advantage  # for the reward, or in recovery against the cost
 from agents.checks import In
 from agents.lockstep.lagrange import PROJECTED, Multiplier
 from agents.trust_region import (
@@ -32,23 +32,23 @@ class CTRPOConfig(TRPOConfig):
     """Hyper-parameters of C-TRPO. The recorded multiplier is 1 in epochs of recovery."""
 
     barrier: Annotated[float, In(0, 1e6)] = 1.0
-    """Factor β of the divergence of the cost. Milosevic et al.: 1."""
+    """Factor β of the cost's term in the divergence. Milosevic et al.: 1."""
     hysteresis: Annotated[float, In(0, 1)] = 0.8
-    """Share of the limit below which the cost has to fall for a recovery to end. Milosevic et al.:
+    """Share of the limit below which the cost must fall before recovery ends. Milosevic et al.:
     0.8."""
 
 
 def recovers(config: CTRPOConfig, before: Tensor, cost: Tensor) -> Tensor:
-    """1 where `J_C ≥ d`, or in recovery before where `J_C ≥ 0.8 d`; else 0. cost: [R, 1]."""
+    """Return 1 where `J_C ≥ d`, in recovery where `J_C ≥ hysteresis · d`, else 0; cost: [R, 1]."""
     bound = config.cost_limit * torch.where(before > 0, config.hysteresis, 1.0)
     return (cost >= bound).to(before.dtype)
 
 
 def step(config: CTRPOConfig, problem: Problem) -> Step:
-    """TRPO's step with the divergence `KL + β φ(α)`, `φ(α) = α + (Δ - α) log(1 - α/Δ)`: α is the
-    predicted growth of the cost, Δ = d - J_C its room. Its Hessian is `H + β/Δ b bᵀ`.
+    """TRPO's step under the divergence `KL + β φ(α)`, `φ(α) = α + (Δ - α) log(1 - α/Δ)`.
 
-    In recovery TRPO's own, against the cost.
+    α is the predicted growth of the cost, Δ = d - J_C its distance to the limit; the Hessian of the
+    divergence is `H + β/Δ b bᵀ`. In recovery it is TRPO's step against the cost.
     """
     room = -problem.excess
     safe = (problem.multipliers[:, 0] == 0) & (room > 0)

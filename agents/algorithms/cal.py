@@ -31,15 +31,14 @@ class CALConfig(MultiplierOfConfig):
     multiplier_of: Literal["replay", "start"] = "replay"
     """Cost that the multiplier and the quadratic penalty follow: the upper bound of the cost at
     the states of the replay (replay; as Wu et al.), or at start states of the last 64 episodes
-    (start). The cost of episodes has no such bound."""
+    (start). Episode costs have no such bound."""
     initial_multiplier: Annotated[float, In(-50, 50)] = math.log(0.6931)
     """Initial parameter of the multiplier, before it is mapped to positive numbers. Wu et al.:
     log(0.6931)."""
     cost_critics: Annotated[int, In(2, 1_000)] = 4
     """Cost critics of the ensemble. Wu et al.: 4, on MuJoCo 8."""
     conservatism: Annotated[float, In(0, 1e6)] = 0.5
-    """Standard deviations of the ensemble by which the cost is held for larger than its mean, k. Wu
-    et al.: 0.5."""
+    """Number k of the ensemble's standard deviations that are added to its mean. Wu et al.: 0.5."""
     convexity: Annotated[float, In(0, 1e6)] = 10.0
     """Factor c of the quadratic penalty. Wu et al.: 10, on Ant 100."""
 
@@ -63,7 +62,7 @@ def _risk(config: CALConfig, cost_values: Float) -> tuple[Float, Pull]:
 def critic_loss(
     config: CALConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
 ) -> Tensor:
-    """Half the mean squared error of each critic against `c + γ Q_c'` of its own target."""
+    """Half the mean squared error of each critic against its target network's `c + γ Q_c'`."""
     discount = config.discount * (1.0 - batch.cost_terminal)
     target = batch.cost[:, None] + discount[:, None] * next_cost_values
     error = cost_values - target
@@ -79,8 +78,7 @@ def _critic_loss(
 
 
 def augmented(config: CALConfig, multipliers: Tensor, risk: Tensor) -> Tensor:
-    """`max(0, λ - c (d - E[risk]))`, the augmented Lagrangian's slope; risk: that the
-    multiplier follows."""
+    """`max(0, λ - c (d - E[risk]))`: slope of the augmented Lagrangian; risk: `E[risk]`, [R, C]."""
     return (multipliers - config.convexity * (config.cost_limit - risk)).clamp(min=0.0)
 
 

@@ -16,9 +16,10 @@ from agents.algorithms.ppo import advantage  # of reward alone: costs enter as a
 from agents.trust_region import Problem, Step, StepRule, TRPOConfig, TrustRegion, dot
 
 INSIDE, PARTLY, RECOVERABLE, RECOVERY = 1, 2, 3, 4
-"""The cases of the step: the trust region lies wholly on the allowed side (or costs do not depend
-on the policy); the limit is kept and cuts the trust region; it is broken and the trust region
-reaches back; it is broken and the trust region does not."""
+"""Cases of the step. INSIDE: the whole trust region satisfies the constraint, or the cost does not
+depend on the policy. PARTLY: the policy satisfies the constraint, but not the whole trust region.
+RECOVERABLE: the policy violates it, but not the whole trust region. RECOVERY: the whole trust
+region violates it."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,11 @@ class CPOConfig(TRPOConfig):
 
 
 def step(config: CPOConfig, problem: Problem) -> Step:
-    """The solution of `max g·x` subject to `c + b·x ≤ 0` and `½ xᵀHx ≤ δ`.
+    """Solve `max g·x` subject to `c + b·x ≤ 0` and `½ xᵀHx ≤ δ`.
 
-    Recovery, where there is none: down the cost to the boundary of the trust region. The line
-    search lets the predicted cost come up to the limit, or not grow where it is above, and asks for
-    a better objective only where the limit is kept.
+    Where there is no solution, the step goes down the cost to the boundary of the trust region:
+    recovery. The line search lets the predicted cost rise up to the limit, or not at all where the
+    cost exceeds it, and asks for a better objective only of runs that satisfy the constraint.
     """
     c = problem.excess[:, None]
     natural = problem.solve(problem.gradient)
@@ -54,17 +55,18 @@ def step(config: CPOConfig, problem: Problem) -> Step:
 
 
 def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s: Tensor) -> Tensor:
-    """The best step with `c + b·x = 0` within the trust region, [R, P].
+    """Return the best step with `c + b·x = 0` within the trust region, [R, P].
 
-    The shortest way to that plane, `-c/s H⁻¹b`, and from there along the natural gradient within
-    the plane as far as the trust region goes. It is the `H⁻¹(g - ν b)/λ` of the dual's branch with
-    ν > 0, without the differences of multipliers that rounding spoils where g is nearly along b.
+    It goes the shortest way to that plane, `-c/s H⁻¹b`, and from there along the natural gradient
+    within the plane to the boundary of the trust region. This is `H⁻¹(g - ν b)/λ`, the solution of
+    the dual problem where ν > 0, without its differences of multipliers, in which rounding errors
+    dominate where g is nearly parallel to b.
     """
     c, s = problem.excess[:, None], s.clamp(min=1e-12)
     across = natural
-    for _ in range(2):  # again, for what the first leaves of b in float32
+    for _ in range(2):  # in float32 the first projection leaves a part along b
         across = across - dot(b, across) / s * natural_b
-    # Where reward and cost have one gradient, only rounding is left of g: no direction.
+    # Where the gradients of reward and cost are parallel, only rounding errors are left of g.
     gain = dot(problem.gradient, across)
     across = torch.where(gain > 1e-6 * dot(problem.gradient, natural), across, 0.0)
     room = (1.0 - c**2 / (2.0 * problem.target_kl * s)).clamp(min=0.0).sqrt()

@@ -20,8 +20,8 @@ class CPPOPIDConfig(PPOLagConfig):
     """Hyper-parameters of CPPO-PID."""
 
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "pid"
-    """How the multiplier follows the cost: a PID controller sets it (pid), as the paper's point is.
-    adam and sgd are PPO-Lag."""
+    """How the multiplier follows the cost: a PID controller sets it (pid), which is the paper's
+    idea. adam and sgd are PPO-Lag whose multiplier follows before the policy improves."""
 
 
 RULE = Objective(advantage, (Multiplier(PROJECTED, ahead=True),))

@@ -24,12 +24,12 @@ class CRPOConfig(TRPOConfig):
     """Hyper-parameters of CRPO. The recorded multiplier is 1 in epochs that step against cost."""
 
     tolerance: Annotated[float, In(0, 1e9)] = 0.5
-    """By how much the cost of an episode may exceed the limit in a step for the reward, η. Our
-    choice; OmniSafe: 2."""
+    """Tolerance η: by how much the cost of an episode may exceed the limit in an epoch that steps
+    for the reward. Our choice; OmniSafe: 2."""
 
 
 def rectifies(config: CRPOConfig, before: Tensor, cost: Tensor) -> Tensor:
-    """1 where `J_C > d + η`, else 0; cost: [R, 1]."""
+    """Return 1 where `J_C > d + η`, else 0; cost: [R, 1]."""
     return (cost > config.cost_limit + config.tolerance).to(before.dtype)
 
 

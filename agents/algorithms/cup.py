@@ -1,7 +1,7 @@
 """CUP: constrained update projection.
 
 Source: Yang et al. 2022, "Constrained update projection approach to safe policy optimization",
-algorithm 1, and the authors' code, whose hyper-parameters it has.
+algorithm 1, and the authors' code, which the hyper-parameters are from.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class CUPConfig(ProjectedMultiplierConfig, PPOConfig):
 def projection(
     config: CUPConfig, policy: Gaussian, ratio: Tensor, batch: Minibatch
 ) -> tuple[Tensor, Tensor]:
-    """`-E[KL(π ‖ π_{k+½}) + ν (1 - γλ)/(1 - γ) ρ A_c]`: back to few costs, near the first step's
-    policy. No step is left out."""
+    """`-E[KL(π ‖ π_{k+½}) + ν (1 - γλ)/(1 - γ) ρ A_c]`: lower costs near the policy π_{k+½} of the
+    first surrogate. No environment step is left out: the share is 0."""
     scale = (1.0 - config.discount * config.gae_lambda) / (1.0 - config.discount)
     cost = (batch.multipliers[..., None] * batch.cost_advantage).sum(dim=1)
     loss = policy.kl(batch.start) + scale * ratio * cost

@@ -1,7 +1,7 @@
 """FOCOPS: first-order constrained optimisation in policy space.
 
 Source: Zhang, Vuong & Ross 2020, "First order constrained optimization in policy space", algorithm
-1 and appendix, and the authors' code, whose hyper-parameters it has.
+1 and appendix, and the authors' code, which the hyper-parameters are from.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ class ProjectedMultiplierConfig(
     """Hyper-parameters that FOCOPS and CUP share, equal in both papers' code."""
 
     limit_of: Literal["discounted", "episode"] = "episode"
-    """Whose limit `cost_limit` is: that of an episode's discounted cost, which the multiplier
-    follows (discounted; as in both papers' code), or that of its undiscounted cost, as in the other
-    on-policy algorithms (episode): the multiplier's limit is then `d (1 - γ^T) / ((1 - γ) T)`, T
-    steps being the task's time limit."""
+    """Which cost `cost_limit` limits: the discounted cost of an episode, which the multiplier
+    follows (discounted; as in both papers' code), or its undiscounted cost, as in the other
+    on-policy algorithms (episode). With episode, the limit of the discounted cost is
+    `d (1 - γ^T) / ((1 - γ) T)`, T steps being the task's time limit."""
     standardize_cost_advantages: bool = True
     """Whether cost advantages are divided by their standard deviation in an epoch. Zhang et al. and
     Yang et al.: yes."""
     kl_stop: Annotated[float, In(0, 1e12)] = 0.02
-    """Mean KL divergence `KL(π ‖ π_k)` from the policy that took the steps beyond which passes of
-    the actor end; 0: never. Zhang et al. and Yang et al.: 0.02."""
+    """Mean KL divergence `KL(π ‖ π_k)` beyond which an epoch's passes of the actor end, π_k being
+    the policy that took the steps; 0: never. Zhang et al. and Yang et al.: 0.02."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "sgd"
     """How the multiplier follows the cost. Zhang et al. and Yang et al.: by the plain gradient
     (sgd)."""
     multiplier_lr: Annotated[float, Gain] = 0.01
-    """Step size of the multiplier by adam or sgd. Zhang et al. and Yang et al.: 0.01."""
+    """Step size of the multiplier with adam or sgd. Zhang et al. and Yang et al.: 0.01."""
     max_multiplier: Annotated[float, Gain] = 2.0
-    """Largest multiplier, ν_max, by adam or sgd. Zhang et al. and Yang et al.: 2."""
+    """Largest multiplier ν_max with adam or sgd. Zhang et al. and Yang et al.: 2."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
-    """Norm to which a longer gradient of the actor is scaled. Zhang et al. and Yang et al.: 40."""
+    """Norm to which the actor's gradient is clipped. Zhang et al. and Yang et al.: 40."""
     initial_log_std: Annotated[float, In(-20, 20)] = -0.5
     """Initial logarithm of the policy's standard deviation. Zhang et al. and Yang et al.: -0.5."""
 
@@ -61,10 +61,10 @@ class FOCOPSConfig(ProjectedMultiplierConfig):
     """Hyper-parameters of FOCOPS. The multiplier is ν."""
 
     temperature: Annotated[float, In(above=0, high=1e6)] = 1.5
-    """Temperature λ: the lower, the further from the old policy the optimal one is. Zhang et al.:
-    1.5."""
+    """Temperature λ: the lower it is, the further the optimal policy is from the old one. Zhang et
+    al.: 1.5."""
     kl_bound: Annotated[float, In(above=0, high=1e6)] = 0.02
-    """KL divergence δ from the old policy beyond which a state has no part in the objective. Zhang
+    """KL divergence δ from the old policy beyond which a state is left out of the objective. Zhang
     et al.: 0.02."""
 
 

@@ -28,19 +28,19 @@ class IPOConfig(PPOConfig):
     """Limit d of the discounted cost of an episode, mean over an epoch's episodes, with the
     discount γ of the rewards."""
     log_barrier_factor: Annotated[float, In(1e-6, 1e6)] = 20.0
-    """Factor t of the barrier: the larger, the closer to a wall at the limit. Liu et al.: 20."""
+    """Factor t of the barrier, which approaches a hard constraint as t grows. Liu et al.: 20."""
     max_penalty: Annotated[float, In(0, 1e6)] = 1.0
-    """Slope of the barrier where it would be larger, and beyond the limit, where the barrier has
-    none. 1 as in OmniSafe."""
+    """Largest slope of the barrier; used also beyond the limit, where the barrier is undefined. 1
+    as in OmniSafe."""
     kl_stop: Annotated[float, In(0, 1e12)] = 0.02
     """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. 0.02 as in
     OmniSafe."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
-    """Norm to which a longer gradient of the actor is scaled. 40 as in OmniSafe."""
+    """Norm to which the actor's gradient is clipped. 40 as in OmniSafe."""
 
 
 def slope(config: IPOConfig, before: Tensor, cost: Tensor) -> Tensor:
-    """`1 / (t (d - J_C))`: how much the barrier `log(d - J_C) / t` falls by the cost J_C [R, 1]."""
+    """`1 / (t (d - J_C))`: how fast the barrier `log(d - J_C) / t` falls in the cost J_C [R, 1]."""
     room = config.cost_limit - cost
     penalty = 1.0 / (config.log_barrier_factor * room)
     return torch.where(room > 0, penalty, torch.inf).clamp(max=config.max_penalty)

@@ -1,4 +1,4 @@
-"""P3O: penalised proximal policy optimisation, with an exact penalty that is clipped as well.
+"""P3O: penalised proximal policy optimisation, with an exact penalty that is clipped like PPO's.
 
 Source: Zhang et al. 2022, "Penalized proximal policy optimization for safe reinforcement learning",
 equation 10 and algorithm 1.
@@ -29,7 +29,7 @@ class P3OConfig(EpisodeCostLimit, PPOConfig):
     """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. 0.02 as in
     OmniSafe."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
-    """Norm to which a longer gradient of the actor is scaled. 40 as in OmniSafe."""
+    """Norm to which the actor's gradient is clipped. 40 as in OmniSafe."""
 
 
 def surrogate(

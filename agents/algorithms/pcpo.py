@@ -22,18 +22,19 @@ class PCPOConfig(TRPOConfig):
     """Hyper-parameters of PCPO."""
 
     projection: Literal["kl", "l2"] = "kl"
-    """Distance that the projection keeps small: the KL divergence from the policy of the reward's
-    step, or the distance of the parameters (l2). Both in Yang et al."""
+    """Distance from the reward's step that the projection minimises: the KL divergence of the
+    policies (kl), or the Euclidean distance of their parameters (l2). Yang et al. have both."""
     line_search_steps: Annotated[int, In(1, 10_000)] = 200
-    """Lengths of a step that are tried at most; a projection may be far longer than the trust
-    region. 200 as in OmniSafe."""
+    """Largest number of step lengths that the line search tries; a projection may be far longer
+    than the trust region. 200 as in OmniSafe."""
 
 
 def step(config: PCPOConfig, problem: Problem) -> Step:
-    """`x = r - max(0, (b·r + c) / b·L⁻¹b) L⁻¹b`: the step r of TRPO, then onto the half-space
-    `c + b·x ≤ 0` in the norm of L, H or the identity.
+    """`x = r - max(0, (b·r + c) / b·L⁻¹b) L⁻¹b`: TRPO's step r, projected onto the half-space
+    `c + b·x ≤ 0` in the norm of L, which is H or the identity.
 
-    The line search lets the predicted cost come up to the limit, or not grow where it is above.
+    The line search lets the predicted cost rise up to the limit, or not at all where the cost
+    exceeds it.
     """
     rewarding = problem.to_boundary(problem.solve(problem.gradient))
     b, c = problem.cost_gradient(), problem.excess[:, None]

@@ -14,7 +14,7 @@ from agents.first_order import FirstOrder, Objective, PPOConfig
 def advantage(
     config: PPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multipliers: Tensor
 ) -> Tensor:
-    """`A_r`: costs are recorded, and nothing else."""
+    """`A_r`: costs are recorded, but not used."""
     return reward_advantage
 
 

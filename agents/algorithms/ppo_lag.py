@@ -24,7 +24,7 @@ class PPOLagConfig(MultiplierConfig, StreakTailLimit, EpisodeCostLimit, PPOConfi
     initial_multiplier: Annotated[float, Gain] = 0.001
     """Initial multiplier λ, at least 0. Not in the paper; 0.001 as in OmniSafe and TRPO-Lag."""
     multiplier_lr: Annotated[float, Gain] = 0.035
-    """Step size of the multiplier by adam or sgd. Not in the paper; 0.035 as in OmniSafe."""
+    """Step size of the multiplier with adam or sgd. Not in the paper; 0.035 as in OmniSafe."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
     PID controller sets it (pid; Stooke et al. 2020). Not in the paper; adam as in OmniSafe."""

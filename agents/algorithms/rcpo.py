@@ -21,16 +21,16 @@ class RCPOConfig(trpo_lag.TRPOLagConfig):
     """Hyper-parameters of RCPO."""
 
     multiplier_lr: Annotated[float, Gain] = 0.035
-    """Step size of the multiplier by adam or sgd. 0.035 as in OmniSafe."""
+    """Step size of the multiplier with adam or sgd. 0.035 as in OmniSafe."""
 
 
 def step(config: RCPOConfig, problem: Problem) -> Step:
-    """The natural gradient at its whole length, `½ xᵀHx = δ`: there is no line search."""
+    """Natural-gradient step of full length, `½ xᵀHx = δ`, without a line search."""
     plain = trpo_lag.step(config, problem)
     anywhere = torch.zeros_like(plain.must_improve)
     return plain._replace(must_improve=anywhere, divergence=lambda kl, growth: 0.0 * growth)
 
 
-# Of the penalised reward r - λc the advantage is A_r - λ A_c, here over 1 + λ.
+# The penalised reward r - λc has the advantage A_r - λ A_c, here divided by 1 + λ.
 RULE = StepRule(trpo_lag.advantage, step, (Multiplier(PROJECTED, ahead=True),))
 ALGORITHM = Algorithm("RCPO", RCPOConfig, RULE, TrustRegion, work=1.0)

@@ -17,7 +17,7 @@ from agents.sac import CostRule, OffPolicy, SACConfig
 
 
 def penalty(config: SACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
-    """0: the cost critics learn for the records alone."""
+    """0: the cost critics are there for the records alone."""
     return torch.zeros_like(risk)
 
 

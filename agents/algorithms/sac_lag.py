@@ -26,12 +26,12 @@ from agents.sac.update import mean, shares
 class SACLagConfig(StreakTailLimit, MultiplierOfConfig):
     """Hyper-parameters of SAC-Lag.
 
-    The multiplier is β = softplus(parameter): 0.69 for the parameter 0 it starts from.
+    The multiplier is β = softplus(parameter), at first 0.69: the parameter starts at 0.
     """
 
 
 def risk(config: SACConfig, cost_values: Tensor) -> Tensor:
-    """The larger of both cost critics' values: errors then err on the side of caution."""
+    """The larger of the two cost critics' values, so that errors are on the side of caution."""
     return torch.maximum(cost_values[:, 0], cost_values[:, 1])
 
 
@@ -61,7 +61,7 @@ def _critic_loss(
 
 
 def squared(error: Float) -> tuple[Float, Pull]:
-    """Half the mean squares of errors [R, K, B], summed over K."""
+    """Half the mean square over B of errors [R, K, B], summed over K, and its `Pull`."""
     pull = lambda slope: slope[:, None, None] * error / error.shape[-1]  # noqa: E731
     return 0.5 * mean(error * error).sum(axis=-1), pull
 

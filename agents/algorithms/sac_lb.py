@@ -1,4 +1,4 @@
-"""SAC-LB: soft actor-critic with a log barrier in the place of a Lagrange multiplier.
+"""SAC-LB: soft actor-critic with a log barrier instead of a Lagrange multiplier.
 
 Source: Zhang et al. 2024, "Constrained reinforcement learning with smoothed log barrier function"
 (CSAC-LB); in the paper's grid as "SAC-LB".
@@ -30,13 +30,13 @@ class SACLBConfig(StreakLimit, ConstrainedSACConfig):
     """Hyper-parameters of SAC-LB."""
 
     log_barrier_factor: Annotated[float, In(1e-3, 1e3)] = 3.0
-    """Factor t of the barrier: the larger, the closer to a wall at the limit. Paper: 3 (printed in
-    SAC-Lag's column of table HP_Circle2D; it can only be SAC-LB's)."""
+    """Factor t of the barrier: the larger it is, the closer to a hard constraint. Paper: 3 (printed
+    in SAC-Lag's column of table HP_Circle2D, but it can only be SAC-LB's)."""
     streak_limit: Annotated[float, In(0, 1e9)] | None = None
-    """Limit, in steps, of the discounted `record_cost` that its critics expect, by how much the
-    longest streak of an episode still grows: a second cost with a barrier of its own. Policy and
-    critics then see the streak so far and the longest so far, both over 20. Not in the paper; None:
-    none."""
+    """Limit, in steps, of the discounted `record_cost` return that its critics estimate: by how
+    much the longest streak of an episode will still grow. It is a second cost, with a barrier of
+    its own; policy and critics then see the current streak and the longest streak so far, both
+    divided by 20. Not in the paper; None: none."""
 
     @property
     def limits(self) -> NDArray[np.float64]:
@@ -46,20 +46,20 @@ class SACLBConfig(StreakLimit, ConstrainedSACConfig):
 
 
 def log_barrier(z: Tensor, t: float) -> Tensor:
-    """`ψ(z) = -log(-z) / t` up to `z = -1/t²`, from there on its tangent.
+    """`ψ(z) = -log(-z) / t` for `z ≤ -1/t²`, and its tangent there for larger z.
 
-    z: by how much the cost exceeds its limit. The tangent, `t z - log(1/t²)/t + 1/t`, is there also
-    where the limit is violated.
+    z: by how much the cost exceeds its limit. The tangent, `t z - log(1/t²)/t + 1/t`, is defined
+    also where the constraint is violated.
     """
     switch = -1.0 / t**2
-    # Inside the clamp both branches are finite, so that no gradient is 0 · inf.
+    # The clamp keeps both branches finite, so that no gradient is 0 · inf.
     barrier = -torch.log(-z.clamp(max=switch)) / t
     tangent = t * z - math.log(-switch) / t + 1.0 / t
     return torch.where(z <= switch, barrier, tangent)
 
 
 def penalty(config: SACLBConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
-    """`ψ(max Q_c - d)`, of each cost."""
+    """`ψ(max Q_c - d)` of each cost."""
     return log_barrier(risk - tensor(config.limits).to(risk.dtype), config.log_barrier_factor)
 
 
@@ -69,7 +69,7 @@ def _penalty(config: SACLBConfig, risk: Float, multipliers: Float) -> tuple[Floa
     switch = -1.0 / t**2
     inside, tangent = z.clip(max=switch), t * z - math.log(-switch) / t + 1.0 / t
     values = np.where(z <= switch, -np.log(-inside) / t, tangent)
-    return values, lambda slope: slope / (-t * inside)  # of the tangent t, the slope at the switch
+    return values, lambda slope: slope / (-t * inside)  # the tangent's is t, that at the switch
 
 
 RULE = CostRule(risk, critic_loss, penalty)

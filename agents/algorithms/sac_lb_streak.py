@@ -1,18 +1,19 @@
 """SAC-LB-Streak: SAC-LB whose learned cost grows along a streak of cost steps.
 
 SAC-LB as in the paper's grid stays in the local optima of levels 2 and 3, and its EMCC falls late.
-Streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
-critics see how long one has lasted. The other changes are for exploration. A bonus for states that
-a run has seldom seen (see `agents.sac.replay`) leads it along the rim of the region, where the
-reward is flat, while the barrier keeps it from the region. Brown random actions show the critics
-the region's far side, and a quarter of each batch keeps showing it (as prior data in RLPD, Ball et
-al. 2023). The reward critics bootstrap at the time limit: the observation does not contain the
-time, and with a terminal limit it would pay to wait where episodes end (Pardo et al. 2018). The
-cost critics do not bootstrap there, since the cost limit is that of an episode. The networks learn
-faster, and the temperature falls more slowly, so that the critics know the way before the policy's
-entropy is low. On Circle2D the preset scales positions back to units of length. Source of the
-barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials and an ablation
-of each part: not every part proves to be needed.
+The streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
+critics see how long the current one has lasted. The other changes are for exploration. A bonus for
+states that a run has seldom seen (see `agents.sac.replay`) leads the policy along the rim of the
+region, where the reward is flat, while the barrier keeps the policy out of the region. Brown random
+actions show the critics the region's far side, and a quarter of each batch is drawn from them
+throughout (as from prior data in RLPD, Ball et al. 2023). The reward critics bootstrap at the time
+limit: the observation does not contain the time, and with a terminal limit it would pay to wait
+where episodes end (Pardo et al. 2018). The cost critics do not bootstrap there, since the cost
+limit is that of an episode. The networks learn faster, and the temperature falls more slowly, so
+that the critics know the way before the policy's entropy is low. On Circle2D the preset scales
+positions back to units of length. Source of the barrier: Zhang et al. 2024 (see `sac_lb`).
+`results/solve/README.md` has the trials and an ablation of each part: not every part proves to be
+needed.
 """
 
 from __future__ import annotations
@@ -29,17 +30,17 @@ from agents.sac.update import TimeLimit
 
 @dataclass(frozen=True)
 class SACLBStreakConfig(SACLBConfig):
-    """Hyper-parameters of SAC-LB-Streak: SAC-LB's, nine of them with other defaults."""
+    """Hyper-parameters of SAC-LB-Streak: those of SAC-LB, nine of them with other defaults."""
 
     learning_rate: Annotated[float, In(above=0, high=1)] = 1e-3
     """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
     temperature_lr: Annotated[float, In(above=0, high=1)] = 1.5e-4
-    """Adam's step size for the temperature, which falls from 1 as the policy gets surer. The
-    paper's SAC-LB: 3e-4."""
+    """Adam's step size for the temperature, which falls from 1 as the policy becomes less random.
+    The paper's SAC-LB: 3e-4."""
     batch_size: Annotated[int, In(1)] = 128
-    """Transitions a gradient step, at most the replay's size. The paper's SAC-LB: 256."""
+    """Transitions per gradient step, at most `replay_size`. The paper's SAC-LB: 256."""
     gradient_steps: Annotated[int, In(1, 100_000)] = 10
-    """Gradient steps an epoch, which is one episode. The paper's SAC-LB: 5."""
+    """Gradient steps per epoch, which is one episode. The paper's SAC-LB: 5."""
     random_exponent: Annotated[float, In(0, 4)] = 2.0
     """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
     direction for many steps. The paper's SAC-LB: 0."""
@@ -47,16 +48,17 @@ class SACLBStreakConfig(SACLBConfig):
     """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
     terminal_cost (reward only). The paper's SAC-LB: terminal on Circle2D."""
     random_share: Annotated[float, In(0, 1)] = 0.25
-    """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
-    the replay keeps these to the end. The paper's SAC-LB: 0."""
+    """Share of each batch, in [0, 1], that is drawn from the random actions at the start; above 0
+    the replay buffer keeps these to the end. The paper's SAC-LB: 0."""
     novelty_bonus: Annotated[float, In(0, 1e6)] = 1.0
-    """Bonus, in units of reward, on the learned reward for reaching states that are new to the run:
+    """Bonus, in units of reward, that the learned reward gets for states that are new to the run:
     about `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. The paper's
     SAC-LB: 0."""
     streak_weight: Annotated[float, In(0, 1e6)] = 0.25
-    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
-    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. 0 with a
-    `streak_limit`, which limits the longest streak without a weight. The paper's SAC-LB: 0."""
+    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the cost of the k-th
+    consecutive cost step is multiplied by `1 + β (k - 1)`, and the critics see k. Records keep the
+    plain cost. Must be 0 with a `streak_limit`, which limits the longest streak without a weight.
+    The paper's SAC-LB: 0."""
 
 
 ALGORITHM = Algorithm("SAC-LB-Streak", SACLBStreakConfig, RULE, OffPolicy)

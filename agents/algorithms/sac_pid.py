@@ -19,8 +19,8 @@ class SACPIDConfig(SACLagConfig):
     """Hyper-parameters of SAC-PID."""
 
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "pid"
-    """How the multiplier follows the cost: a PID controller sets it once an epoch (pid), as the
-    paper's point is. adam and sgd are SAC-Lag."""
+    """How the multiplier follows the cost: a PID controller sets it once an epoch (pid), which is
+    the paper's idea. adam and sgd are SAC-Lag."""
 
 
 ALGORITHM = Algorithm("SAC-PID", SACPIDConfig, RULE, OffPolicy, work=5.0)

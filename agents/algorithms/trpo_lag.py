@@ -25,23 +25,23 @@ class TRPOLagConfig(MultiplierConfig, StreakTailLimit, TRPOConfig):
     initial_multiplier: Annotated[float, Gain] = 0.001
     """Initial multiplier λ, at least 0. Paper: 0.001."""
     multiplier_lr: Annotated[float, Gain] = 0.005
-    """Step size of the multiplier by adam or sgd. Paper: 0.005."""
+    """Step size of the multiplier with adam or sgd. Paper: 0.005."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
-    PID controller sets it (pid; Stooke et al. 2020). It decides how runs end. Inferred for the
-    paper's Circle2D, not specified: adam."""
+    PID controller sets it (pid; Stooke et al. 2020). The choice decides how runs end. Not specified
+    in the paper; adam is inferred from its Circle2D."""
 
 
 def advantage(
     config: TRPOLagConfig, reward_advantage: Tensor, cost_advantage: Tensor, multipliers: Tensor
 ) -> Tensor:
-    """`(A_r - λ A_c) / (1 + λ)`: the divisor keeps its scale as λ grows."""
+    """`(A_r - λ A_c) / (1 + λ)`: the divisor keeps the scale as λ grows."""
     penalty = (multipliers[..., None] * cost_advantage).sum(dim=1)
     return (reward_advantage - penalty) / (1.0 + multipliers.sum(dim=1, keepdim=True))
 
 
 def step(config: TRPOConfig, problem: Problem) -> Step:
-    """The natural gradient, to the boundary of the trust region: TRPO's own step."""
+    """TRPO's step: along the natural gradient to the boundary of the trust region."""
     runs = len(problem.excess)
     return Step(
         displacement=problem.to_boundary(problem.solve(problem.gradient)),

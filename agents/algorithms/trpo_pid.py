@@ -20,8 +20,8 @@ class TRPOPIDConfig(TRPOLagConfig):
     """Hyper-parameters of TRPO-PID."""
 
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "pid"
-    """How the multiplier follows the cost: a PID controller sets it (pid), as the paper's point is.
-    adam and sgd are TRPO-Lag."""
+    """How the multiplier follows the cost: a PID controller sets it (pid), which is the paper's
+    idea. adam and sgd are TRPO-Lag whose multiplier follows before the policy improves."""
 
 
 RULE = StepRule(advantage, step, (Multiplier(PROJECTED, ahead=True),))

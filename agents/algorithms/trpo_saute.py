@@ -1,4 +1,4 @@
-"""TRPO-Sauté: TRPO in a state augmented by what is left of the cost budget of an episode.
+"""TRPO-Sauté: TRPO with observations augmented by the remaining cost budget of the episode.
 
 Source: Sootla et al. 2022, "Sauté RL: almost surely safe reinforcement learning using state
 augmentation", with the budget of OmniSafe's adapter.

@@ -29,36 +29,36 @@ from agents.sac.update import mean
 from emcc import cvar
 
 VARIANCE = (1e-8, 1e8)
-"""Where variances are clamped."""
+"""Bounds to which variances are clamped."""
 
 
 @dataclass(frozen=True)
 class WCSACConfig(MultiplierOfConfig):
     """Hyper-parameters of WCSAC.
 
-    The multiplier is κ = exp(parameter): 1 for the parameter 0 it starts from.
+    The multiplier is κ = exp(parameter), at first 1: the parameter starts at 0.
     """
 
     initial_multiplier: Annotated[float, In(-50, 50)] = 0.0  # far from where exp overflows
     """Initial parameter of the multiplier, before it is mapped to positive numbers. Not specified
     in the paper."""
     risk_level: Annotated[float, In(above=0, high=1)] = 0.5
-    """Share α of the worst cost returns whose mean is bounded; 1 bounds the mean of all.
-    Paper: 0.5."""
+    """Risk level α: the mean of the worst share α of cost returns is limited; 1 limits the mean of
+    all. Paper: 0.5."""
     damping: Annotated[float, In(0, 1e6)] = 10.0
     """Scale of the damping of the multiplier in the actor's loss. Not specified in the paper; 10 in
     the code of Yang et al."""
     variance_target: Literal["squared", "unsquared"] = "squared"
-    """Last term of the variance's target: squared, as for a variance; or unsquared, with no mask at
-    terminal steps, as in a later library of the paper's group. No preset uses unsquared."""
+    """Last term of the variance's target: squared, as in a variance; or unsquared, and without a
+    mask at terminal steps, as in a later library of the paper's group. No preset uses unsquared."""
     damping_gradient: Literal["stopped", "through"] = "stopped"
     """Whether the actor's gradient goes through the damping: stopped as in the code of Yang et al.,
-    or through it as in a later library of the paper's group. No preset."""
+    or through it as in a later library of the paper's group. No preset uses through."""
 
 
 def tail_factor(level: float) -> Tensor:
-    """Distance of the mean of the worst share `level` of a Gaussian from its mean, in standard
-    deviations: `φ(Φ⁻¹(α)) / α`, [] in double precision."""
+    """`φ(Φ⁻¹(α)) / α`: how many standard deviations the mean of a Gaussian's worst share α, the
+    `level`, lies above the Gaussian's mean; [], in double precision."""
     quantile = torch.special.ndtri(torch.full((), level, dtype=torch.float64))
     return torch.exp(-0.5 * quantile**2) / (math.sqrt(2.0 * math.pi) * level)
 
@@ -96,8 +96,8 @@ def critic_loss(
 def targets(
     discount: Tensor, mean: Tensor, next_cost_values: Tensor, cost: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Targets of the cost critic's mean, `c + γ Q_c'`, and of its variance,
-    `c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'²`, clamped. Everything is [R, B] but
+    """Return the targets of the cost return's mean, `c + γ Q_c'`, and of its variance,
+    `c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'²`, clamped. All arrays are [R, B] except
     next_cost_values, [R, 2, B].
     """
     next_mean, next_variance = next_cost_values[:, 0], variance(next_cost_values[:, 1])
@@ -109,9 +109,9 @@ def targets(
 def unsquared_variance_target(
     discount: float, mean: Tensor, next_cost_values: Tensor, cost: Tensor
 ) -> Tensor:
-    """`c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'`, clamped, at the end of an episode as elsewhere.
+    """`c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'`, clamped, without a mask at terminal steps.
 
-    Not a variance: for large Q_c' far below it. Shapes as in `targets`.
+    This is no variance: for large Q_c' it is far below one. Shapes as in `targets`.
     """
     next_mean, next_variance = next_cost_values[:, 0], variance(next_cost_values[:, 1])
     future = discount * discount * (next_variance + next_mean)
@@ -122,7 +122,7 @@ def unsquared_variance_target(
 def penalty(config: WCSACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`(κ - κ_d) Γ` with the damping `κ_d = scale · E[d - Γ]`, by default without its gradient.
 
-    multipliers: κ, or where it follows something else than the replay `damped`.
+    multipliers: κ; where `multiplier_of` is not replay, what `damped` returned.
     """
     if config.multiplier_of != "replay":
         return multipliers[..., None] * risk
@@ -132,12 +132,12 @@ def penalty(config: WCSACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
 
 
 def damped(config: WCSACConfig, multipliers: Tensor, followed: Tensor) -> Tensor:
-    """`κ - scale · (d - Γ)`, with what the multiplier follows in the place of Γ."""
+    """`κ - scale · (d - Γ)`, with `followed`, what the multiplier follows, instead of Γ."""
     return multipliers - config.damping * (config.cost_limit - followed)
 
 
 def worst(config: WCSACConfig, costs: NDArray[np.float64]) -> float:
-    """The mean of the worst share α of the costs of episodes [E]."""
+    """The mean of the worst share α of episode costs [E]: their CVaR."""
     return cvar(costs, config.risk_level, ties="split")
 
 
@@ -145,7 +145,7 @@ def worst(config: WCSACConfig, costs: NDArray[np.float64]) -> float:
 
 
 def _variance(output: Float) -> tuple[Float, Float]:
-    """`variance`, and its slope."""
+    """`variance` and its slope in the output."""
     free = lagrange.softplus(output)
     clamped = free.clip(*VARIANCE)
     return clamped, (free == clamped) * lagrange.sigmoid(output)

@@ -101,7 +101,7 @@ def test_a_cell_that_is_run_again():
     for name in ("First", "Second"):
         exec(f"agents.register('of-cell', lag._replace(title='{name}'))", cell)
     assert algorithm("of-cell").title == "Second"
-    with pytest.raises(UserError, match="'of-cell' is there already"):
+    with pytest.raises(UserError, match="'of-cell' is registered already"):
         register("of-cell", lag)
 
 
