@@ -1,4 +1,4 @@
-"""Surrogates of the objective, PPO's clipped one first, and minibatch steps of Adam up them.
+"""The first-order family: minibatch steps of Adam up surrogate objectives, such as PPO's.
 
 An algorithm adds an `Objective`. Source: Schulman et al. 2017, "Proximal policy optimization
 algorithms".
@@ -37,18 +37,18 @@ from agents.on_policy.state import Gaussian, OnPolicyConfig, OnPolicyState
 class FirstOrderConfig(OnPolicyConfig):
     """Hyper-parameters of the first-order family.
 
-    The paper has no algorithm of it: the defaults are those of Stable-Baselines3 where they do not
-    belong to the on-policy epoch, which is the paper's.
+    The paper has no algorithm of this family. The defaults are those of Stable-Baselines3, except
+    for the on-policy epoch, whose defaults are the paper's.
     """
 
     batch_size: Annotated[int, In(1)] = 64
-    """Steps in a minibatch of actor and critics. Not in the paper; 64 as in Stable-Baselines3 and
-    OmniSafe."""
+    """Environment steps in a minibatch of actor and critics. Not in the paper; 64 as in
+    Stable-Baselines3 and OmniSafe."""
     actor_iterations: Annotated[int, In(1, 10_000)] = 10
     """Passes of the actor over an epoch's steps. Not in the paper; 10 as in Schulman et al. and
     Stable-Baselines3."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 0.5
-    """Norm to which a longer gradient of the actor is scaled. Not in the paper; 0.5 as in
+    """Norm to which the actor's gradient is clipped. Not in the paper; 0.5 as in
     Stable-Baselines3."""
     kl_stop: Annotated[float, In(0, 1e12)] = 0.0
     """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. Not in the
@@ -57,7 +57,7 @@ class FirstOrderConfig(OnPolicyConfig):
 
 @dataclass(frozen=True)
 class PPOConfig(FirstOrderConfig):
-    """Hyper-parameters of the algorithms that clip as PPO does."""
+    """Hyper-parameters of the algorithms with PPO's clipped surrogate."""
 
     clip_range: Annotated[float, In(above=0, high=1)] = 0.2
     """Distance ε from 1 at which the ratio of new and old probability is clipped. Not in the paper;
@@ -72,7 +72,7 @@ class Minibatch(NamedTuple):
     action: Tensor
     """[R, B, A]"""
     weight: Tensor
-    """[R, B]: adds up to 1, or to 0 for a run that has no steps in it"""
+    """[R, B]: sums to 1, or to 0 for a run without steps in the minibatch"""
     advantage: Tensor
     """[R, B]"""
     old_log_prob: Tensor
@@ -82,18 +82,18 @@ class Minibatch(NamedTuple):
     start: Any = None
     """The policy at the start of the passes, a `Gaussian`."""
     excess: Any = None
-    """[R, C]: mean cost of the epoch's episodes above its limit, `J_C - d`; NaN of one without"""
+    """[R, C]: mean cost of the epoch's episodes above its limit, `J_C - d`; NaN without a limit"""
     multipliers: Any = None
     """[R, M]"""
 
 
 Surrogate = Callable[[Any, Gaussian, Tensor, Minibatch], tuple[Tensor, Tensor]]
-"""(config, policy, its ratios `ρ = π(a|s) / π_old(a|s)` [R, B], minibatch) -> what a step of the
-actor raises, [R], and the share of steps that have no part in it, being too far off, [R]"""
+"""(config, policy, its ratios `ρ = π(a|s) / π_old(a|s)` [R, B], minibatch) -> the objective to be
+raised, [R], and the share of environment steps left out of it as too far from π_old, [R]"""
 
 
 def mean(batch: Minibatch, values: Tensor) -> Tensor:
-    """The mean over a minibatch of values [R, B]: [R]."""
+    """Return the weighted mean over a minibatch of values [R, B]: [R]."""
     return (batch.weight * values).sum(dim=-1)
 
 
@@ -112,17 +112,17 @@ class Objective(NamedTuple):
 
     advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
     """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
-    the advantages that the policy raises. Called for one run at a time, with the steps of its
-    epoch."""
+    the advantages that the policy maximises. Called for one run at a time, with the environment
+    steps of its epoch."""
     multipliers: tuple[Multiplier, ...] = ()
     """Each follows `J_C - d` of its cost."""
     costs: int = 1
     """How many costs are learned."""
     limits: tuple[str, ...] = ("cost_limit",)
-    """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
-    of its cost itself."""
+    """Names of the hyper-parameters that limit the costs, in the order of the costs; the `limit` of
+    a multiplier takes precedence for its cost."""
     surrogates: tuple[Surrogate, ...] = (clipped,)
-    """Objectives of the actor's passes over an epoch: for each all of the passes, in turn."""
+    """Objectives of the actor, one after the other, each for `actor_iterations` passes."""
     reverse_kl: bool = False
     """Whether `kl_stop` is compared with `KL(π ‖ π_k)` instead of `KL(π_k ‖ π)`, π_k being the
     policy that took the steps."""
@@ -131,24 +131,25 @@ class Objective(NamedTuple):
 def surrogate_at(
     config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch
 ) -> tuple[Tensor, Tensor]:
-    """The surrogate of a policy, and the share that has no part in it, [R] each."""
-    held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+    """Return what the surrogate gives for a policy, [R] each. Raises ValueError for other
+    shapes."""
+    held = batch.weight > 0  # elsewhere a narrow policy may give ∞, and 0 · ∞ is NaN
     change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
     returned = surrogate(config, policy, change.exp(), batch)
     shapes, runs = [list(value.shape) for value in returned], len(policy.mean)
-    if shapes != [[runs], [runs]]:  # a sum over minibatches is another objective
+    if shapes != [[runs], [runs]]:  # of [R, B], the loss would be a sum over steps
         raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")
     return returned
 
 
 class Raised(NamedTuple):
-    """The loss of a surrogate: turned round, and differentiated by autograd in what the policy says
-    of a minibatch."""
+    """Loss of any surrogate: its negative, whose gradient in the policy's means and log-stds
+    autograd computes."""
 
     config: Any
     surrogate: Surrogate
     epoch: Minibatch
-    """All steps [R, B]."""
+    """All environment steps of the epoch, [R, B]."""
 
     def slopes(
         self, rows: NDArray[np.int64], weight: Float, outputs: Float, log_std: Float
@@ -165,7 +166,7 @@ class Raised(NamedTuple):
         return Slopes(of_means.numpy(), of_spread[:, 0].numpy(), outside.detach().numpy())
 
     def _at(self, rows: NDArray[np.int64], weight: Float) -> Minibatch:
-        """The steps [R, b] of a minibatch."""
+        """Return the minibatch of some rows [R, b] of the epoch, with weights [R, b]."""
         run, whole = np.arange(len(rows))[:, None], self.epoch
 
         def at(column: Tensor) -> Tensor:
@@ -183,7 +184,7 @@ class Raised(NamedTuple):
 
 
 def loss_of(config: Any, surrogate: Surrogate, epoch: Minibatch) -> Loss:
-    """The loss of a surrogate at the steps of an epoch, in closed form where there is one."""
+    """Return the loss of a surrogate over an epoch, in closed form if there is one."""
     if surrogate is not clipped:
         return Raised(config, surrogate, epoch)
     action, advantage, old_log_prob = (
@@ -197,8 +198,8 @@ class FirstOrder(OnPolicy):
 
     takes = (FirstOrderConfig, Objective)
     improvement_metrics = ("kl", "clipped")
-    """Mean KL divergence from the old to the new policy; mean share of steps whose ratio is clipped
-    or, without clipping, that lie outside a trust region."""
+    """Mean KL divergence from the old to the new policy; mean share of environment steps whose
+    ratio is clipped or, without clipping, which lie outside the trust region."""
 
     def __init__(self, config: FirstOrderConfig, rule: Objective, *runs: Any) -> None:
         super().__init__(config, rule, *runs)
@@ -207,7 +208,7 @@ class FirstOrder(OnPolicy):
     def improve(
         self, epoch: EpochData, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, Tensor]]:
-        """Passes of the actors over the epoch, each in minibatches of an order of its own."""
+        """Train the actors in passes over the epoch, each in minibatches of a new random order."""
         config, rule, state = self.config, self.rule, self._state
         actor, moments, runs = state.actor, state.actor_moments, len(self.seeds)
         assert moments is not None

@@ -1,4 +1,4 @@
-"""The trust-region step of the policy: natural gradient and line search.
+"""The trust-region family: natural-gradient steps of the policy with a line search.
 
 An algorithm adds a `StepRule`. Source: Schulman et al. 2015, "Trust region policy
 optimization", with the cost terms of the algorithm's paper.
@@ -35,23 +35,23 @@ Product = Callable[[Tensor], Tensor]
 class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     """Hyper-parameters of the trust-region family.
 
-    The defaults are the paper's (table HP_Circle2D) but for the cost limit, 25 as on its other
-    tasks; presets set it for Circle2D.
+    The defaults are the paper's (table HP_Circle2D), except for the cost limit of 25, which is that
+    of the paper's other tasks; presets set the limit for Circle2D.
     """
 
     batch_size: Annotated[int, In(1)] = 256
-    """Steps in a minibatch of the critics. Paper: 256."""
+    """Environment steps in a minibatch of the critics. Paper: 256."""
     target_kl: Annotated[float, In(1e-8, 10)] = 0.01
     """Largest mean KL divergence δ of a step of the policy. Paper: 0.01."""
     cg_iterations: Annotated[int, In(1, 10_000)] = 15
-    """Iterations of conjugate gradients. Paper: 15."""
+    """Iterations of the conjugate gradient method. Paper: 15."""
     cg_damping: Annotated[float, In(0, 1e6)] = 0.1
-    """Added to the diagonal of the KL divergence's Hessian. Not specified in the paper; 0.1 as in
-    Stable-Baselines3."""
+    """Damping, added to the diagonal of the KL divergence's Hessian. Not specified in the paper;
+    0.1 as in Stable-Baselines3."""
     line_search_steps: Annotated[int, In(1, 10_000)] = 15
-    """Lengths of a step that are tried at most. Paper: 15."""
+    """Largest number of step lengths that the line search tries. Paper: 15."""
     line_search_decay: Annotated[float, In(above=0, high=1)] = 0.8
-    """Factor between the lengths tried, in (0, 1]. Not specified in the paper; 0.8 as in
+    """Factor between successive step lengths, in (0, 1]. Not specified in the paper; 0.8 as in
     Stable-Baselines3."""
 
 
@@ -60,24 +60,24 @@ class StepRule(NamedTuple):
 
     advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
     """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
-    the advantages that the policy's step raises. Called for one run at a time, with the steps of
-    its epoch."""
+    the advantages that the policy's step raises. Called for one run at a time, with the environment
+    steps of its epoch."""
     step: Callable[[Any, Problem], Step]
-    """(config, problem) -> the step that is tried."""
+    """(config, problem) -> the step that the line search tries."""
     multipliers: tuple[Multiplier, ...] = ()
     """Each follows `J_C - d` of its cost."""
     has_cases: bool = False
     """Whether `Step.case` is worth recording."""
     costs: int = 1
-    """How many costs are learned; the step and its line search see the first alone."""
+    """How many costs are learned; the step and the line search see only the first."""
     limits: tuple[str, ...] = ("cost_limit",)
-    """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
-    of its cost itself."""
+    """Names of the hyper-parameters that limit the costs, in the order of the costs; the `limit` of
+    a multiplier takes precedence for its cost."""
 
 
 def curvature(nets: Nets, config: Any, actor: Tensor, epoch: EpochData) -> tuple[Product, Product]:
-    """v -> H v and b -> H⁻¹ b, all [R, actor size], of the damped Hessian H of the mean KL
-    divergence at the policy itself."""
+    """Return the functions v -> H v and b -> H⁻¹ b, all [R, actor size], for the damped Hessian H
+    of the mean KL divergence at the current policy."""
     columns = actor.numpy(), nets.actor.log_std, epoch.observation.numpy(), epoch.weight.numpy()
     it = kernel.Curvature(nets.actor.net, *columns, config.cg_damping)
     own = kernel.of(it.params)
@@ -96,8 +96,8 @@ def policy_step(
     epoch: EpochData,
     steps: NDArray[np.int64],
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The policy after the rule's step and its line search -> [R, actor size], records [R]; NaN for
-    a run whose step is. steps: [R], of each run in the epoch."""
+    """Take the rule's step with its line search -> new parameters [R, actor size], records [R]; the
+    parameters of a run whose step is NaN become NaN. steps: [R], environment steps of each run."""
     old = state.actor
     multipliers = tensor(lagrange.values(rule.multipliers, state.multipliers, len(old)))
     advantage = raised_advantage(rule, config, epoch, steps, multipliers)
@@ -127,11 +127,11 @@ def policy_step(
         cost_growth = cost_growth * epoch.length
         near = step.divergence(kl, cost_growth) <= config.target_kl
         allowed = near & ((growth > 0) | ~step.must_improve) & (cost_growth <= step.cost_bound)
-        return allowed | (epoch.length == 0), kl  # a run that takes no part accepts at once
+        return allowed | (epoch.length == 0), kl  # an inactive run accepts at once
 
     tries, decay = config.line_search_steps, config.line_search_decay
     found = line_search(old, step.displacement, judge, tries, decay)
-    # No step leads there, and the policy would stay as it is without a word.
+    # The line search would accept no such step, and the policy silently stay as it is.
     lost = advantage.isnan().any(dim=-1) | step.displacement.isnan().any(dim=-1)
     params = torch.where(lost[:, None], torch.nan, found.params)
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
@@ -140,7 +140,7 @@ def policy_step(
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Inner product of each run's vectors [R, P] -> [R, 1]."""
+    """Return the inner products of the runs' vectors, [R, P] -> [R, 1]."""
     return (a * b).sum(dim=-1, keepdim=True)
 
 
@@ -154,14 +154,14 @@ def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
 
 
 class Problem(NamedTuple):
-    """The local model that a step of the policy is computed from; each run's own."""
+    """The local model of each run from which a step of its policy is computed."""
 
     gradient: Tensor
     """[R, P]: of the objective"""
     cost_gradient: Callable[[], Tensor]
     """() -> [R, P]: of the undiscounted cost of an episode"""
     excess: Tensor
-    """[R]: cost of an episode above its limit, `J_C - d`"""
+    """[R]: by how much an episode's cost exceeds the limit, `J_C - d`"""
     product: Product
     """v -> H v, H the damped Hessian of the mean KL divergence"""
     solve: Product
@@ -172,7 +172,7 @@ class Problem(NamedTuple):
     """[R, M]"""
 
     def to_boundary(self, direction: Tensor) -> Tensor:
-        """The direction [R, P] scaled until `½ xᵀ H x = δ`; 0 stays 0."""
+        """Scale a direction [R, P] such that `½ xᵀ H x = δ`; 0 stays 0."""
         square = dot(direction, self.product(direction))
         return direction * torch.where(square > 0, (2.0 * self.target_kl / square).sqrt(), 0.0)
 
@@ -182,16 +182,16 @@ Divergence = Callable[[Tensor, Tensor], Tensor]
 
 
 class Step(NamedTuple):
-    """A step to be tried, and the conditions of its line search."""
+    """A step for the line search to try, and the conditions for accepting it."""
 
     displacement: Tensor
     """[R, P]"""
     must_improve: Tensor
     """[R], bool: whether the objective has to grow"""
     cost_bound: Tensor
-    """[R]: how much the predicted cost of an episode may grow; inf where it does not matter"""
+    """[R]: largest growth allowed of the predicted cost of an episode; inf for no bound"""
     case: Tensor
-    """[R]: which case of the algorithm the step is, for the records"""
+    """[R]: number of the algorithm's case that the step belongs to, for the records"""
     divergence: Divergence = lambda kl, cost_growth: kl
     """Divergence that the line search keeps at or below δ."""
 
@@ -204,21 +204,21 @@ class Accepted(NamedTuple):
     accepted: Tensor
     """[R], bool; the others keep their parameters"""
     kl: Tensor
-    """[R]: of the parameters kept"""
+    """[R]: KL divergence of the returned parameters"""
     scale: Tensor
-    """[R]: share of the step that was taken"""
+    """[R]: factor of the displacement that was accepted; 0: none"""
 
 
 Judge = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""params [R, P] -> which runs may go there [R], bool, and their KL divergence [R]"""
+"""params [R, P] -> whether they are acceptable [R], bool, and their KL divergence [R]"""
 
 
 def line_search(
     params: Tensor, displacement: Tensor, judge: Judge, tries: int, decay: float
 ) -> Accepted:
-    """The first of `params + decay^k displacement`, k < tries, that each run's judge accepts.
+    """Backtrack: find each run's first accepted `params + decay^k displacement`, k < tries.
 
-    params, displacement: [R, P]. Where none is accepted the parameters stay as they are, bit for
+    params, displacement: [R, P]. A run for which `judge` accepts none keeps its parameters, bit for
     bit.
     """
     none = torch.zeros(len(params))
@@ -243,7 +243,7 @@ class TrustRegion(OnPolicy):
 
     takes = (TRPOConfig, StepRule)
     improvement_metrics = ("kl", "step_scale")
-    """A step_scale of 0: the line search found nothing, and the policy stayed as it was."""
+    """step_scale is 0 where the line search accepted no step and the policy stayed as it was."""
 
     def __init__(self, config: TRPOConfig, rule: StepRule, *runs: Any) -> None:
         super().__init__(config, rule, *runs)
@@ -252,6 +252,6 @@ class TrustRegion(OnPolicy):
     def improve(
         self, epoch: EpochData, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, Tensor]]:
-        """One step of the policy, from all of the epoch at once."""
+        """Take one step of the policy from the whole epoch."""
         actor, records = policy_step(self.nets, self.config, self.rule, self._state, epoch, steps)
         return self._state._replace(actor=actor), records

@@ -1,1 +1,1 @@
-"""The common part of on-policy families: epochs of whole episodes, advantages, critics."""
+"""The common part of the on-policy families: epochs of whole episodes, advantages, critics."""

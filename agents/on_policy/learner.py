@@ -1,4 +1,4 @@
-"""The epoch of the on-policy families: whole episodes, then a better policy, then the critics."""
+"""The epoch of on-policy families: whole episodes, an update of the policy, then of the critics."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from agents.on_policy.state import OnPolicyState, initial_state, make_nets
 
 
 class OnPolicy(ABC):
-    """The runs of one on-policy algorithm; a family defines how a policy improves."""
+    """The runs of one on-policy algorithm; a subclass for each family defines `improve`."""
 
     improvement_metrics: ClassVar[tuple[str, ...]]
-    """Names of the records of `improve` that every algorithm of the family has."""
+    """Names of the records that `improve` returns for every algorithm of the family."""
 
     def __init__(
         self,
@@ -55,26 +55,26 @@ class OnPolicy(ABC):
     def improve(
         self, epoch: EpochData, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, torch.Tensor]]:
-        """The state with better actors, and records [R], by the family.
+        """Return the state with improved actors, and records [R] by name.
 
-        steps: [R], rows of the epoch that belong to each run, 0 for one that takes no part;
-        generators: each run's, for the minibatches of this epoch.
+        steps: [R], rows of the epoch that belong to each run, 0 for an inactive run; generators: of
+        each run, for the minibatches of this epoch.
         """
 
     def policy(self) -> Policy:
-        """The policy of every run as it stands now."""
+        """Return the current policy of every run."""
         params = array(self._state.actor).copy()  # updates change it in place
         return self.nets.actor.acting(params, self.config.inputs(self._normalizer))
 
     def module(self, run: int) -> nn.Module:
-        """The deterministic policy of a run in PyTorch: observations -> actions."""
+        """Return the deterministic policy of a run in PyTorch: observations -> actions."""
         net = self.nets.actor.net
         params = array(self._state.actor)[run : run + 1, : net.size]
         layers = [layer[0] for layer in net.layers(params)]
         return self.config.inputs(self._normalizer).module(run, layers, net.activation)
 
     def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
-        """Actions of the runs in an epoch: the policy's, with its noise."""
+        """Return the function that acts in an epoch: the policy with its noise."""
         policy, runs = self.policy(), len(self.seeds)
         shape = (self.episodes, self.action_size)
         noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
@@ -83,11 +83,10 @@ class OnPolicy(ABC):
         ).reshape(runs * self.episodes, -1)
 
     def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
-        """Improve the policy, then the critics and the multiplier; active: [R], runs that take
-        part.
+        """Improve the policy, then the critics; multipliers follow before or after the policy.
 
-        rollout: N = R·E episodes, those of a run beside each other. Returns each of `metrics`,
-        [R, metrics]; NaN for runs that take no part.
+        rollout: N = R·E episodes, those of a run beside each other; active: [R], runs that take
+        part. Returns the values of `metrics`, [R, metrics]; NaN for inactive runs.
         """
         length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
         rollout = learned(rollout, self.config, self.costs)._replace(length=length)
@@ -96,7 +95,7 @@ class OnPolicy(ABC):
         if self._tail:
             rollout, level = self._tail.of(rollout)
         data = self._epoch(rollout, packing)
-        if level is not None:  # of the part of CVaR that no step has
+        if level is not None:  # CVaR's constant term, which belongs to no step
             data.cost[:, -1] += tensor(level)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)
         before = self._state
@@ -121,7 +120,7 @@ class OnPolicy(ABC):
         steps: NDArray[np.int64],
         generators: list[np.random.Generator],
     ) -> Tensor:
-        """Passes of the critics, in place, towards their targets; their mean losses [R, 1 + C]."""
+        """Train the critics in place, in passes over the epoch; return mean losses [R, 1 + C]."""
         config, params = self.config, critics.flatten(0, 1).numpy()
         descent = Descent(
             net=self.nets.critic,
@@ -139,15 +138,15 @@ class OnPolicy(ABC):
         return tensor(total.reshape(len(steps), -1) / count[:, None]).float()
 
     def _followed(self, state: OnPolicyState, epoch: EpochData, ahead: bool) -> OnPolicyState:
-        """The state whose multipliers have followed the epoch's costs: those that do so `ahead` of
-        the policy, or the others."""
+        """Return the state after multipliers have followed the epoch's costs: the ones that do so
+        `ahead` of the policy, or the others."""
         assert epoch.discounted_cost is not None
         what = (self.rule.multipliers, self.config, state.multipliers)
         costs = (array(epoch.cost), array(epoch.discounted_cost))
         return state._replace(multipliers=lagrange.follow(*what, *costs, ahead=ahead))
 
     def _epoch(self, rollout: Rollout, packing: Packing) -> EpochData:
-        """Advantages and value targets of an epoch's steps, packed."""
+        """Return the packed steps of an epoch, with advantages and value targets."""
         columns = (rollout.observation, rollout.next_observation)
         observation, following = (self._seen(packing.pack(column)) for column in columns)
         value, next_value = self._values(observation), self._values(following)
@@ -184,30 +183,30 @@ class OnPolicy(ABC):
         )
 
     def _seen(self, observation: NDArray[np.float32]) -> torch.Tensor:
-        """Observations of a `learned` rollout, packed, as networks see them."""
+        """Return packed observations of a `learned` rollout as the networks see them."""
         return tensor(self._normalizer.inputs(observation) if self._normalizer else observation)
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
-        """Values of the critics: [R, 1 + C, B]."""
+        """Return the critics' values, [R, 1 + C, B]."""
         return array(self.nets.critic.forward_each(self._state.critics, observation))
 
     def _std(self) -> torch.Tensor:
-        """Standard deviation of each run's policy, mean over action components: [R]."""
+        """Return the standard deviation of each run's policy, mean over action components: [R]."""
         start, actions = self.nets.actor.net.size, self.action_size
         return self._state.actor[:, start : start + actions].exp().mean(dim=-1)
 
     def finite(self) -> NDArray[np.bool_]:
-        """Mask of the runs that hold only finite numbers, [R]."""
+        """Return a mask [R] of the runs whose numbers are all finite."""
         return tree.finite(self._state)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The whole training state as named arrays."""
+        """Return the whole training state as named arrays."""
         parts = (self._normalizer, self._tail)
         dicts = [part.state_dict() for part in parts if part is not None]
         return functools.reduce(operator.or_, dicts, tree.flatten(self._state))
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state, bit for bit."""
+        """Load a state, bit for bit. Raises KeyError or ValueError if it does not fit."""
         self._state = tree.unflatten(self._state, state)
         for part in (self._normalizer, self._tail):
             if part is not None:
