@@ -2,11 +2,11 @@
 
     costs of steps -> longest streak -> MCC of a rollout -> EMCC of a part of training -> interval
 
-Arrays in, numbers or frozen dataclasses out. The core imports only numpy. Costs can come from other
-libraries: `RecordCosts` wraps an environment of gymnasium, `sb3.EMCCCallback` follows a
-training of Stable-Baselines3, `from_tensordict` reads TorchRL's batches, `from_minari` a data set.
-`read` takes what `python -m emcc` takes. `panel` puts EMCC beside the measures that
-other papers report.
+Functions take arrays and return numbers or frozen dataclasses. The core imports only numpy. Costs
+can come from other libraries: `RecordCosts` wraps a Gymnasium environment, `sb3.EMCCCallback`
+follows a training of Stable-Baselines3, `from_tensordict` reads TorchRL's batches, and
+`from_minari` reads a Minari data set. `read` reads the same files and folders as `python -m emcc`.
+`panel` reports EMCC beside the measures that other papers report.
 """
 
 from importlib import import_module
@@ -61,9 +61,9 @@ _LATE = {
     "streak_cost": ("LongestStreak", "StreakCost"),
     "wrappers": ("RecordCosts",),
 }
-"""Names by the module that has them, which is imported when one is first asked for."""
+"""Public names by the module that defines them; each module is imported on the first access."""
 _NEEDS = {"wrappers": "gymnasium>=0.28", "streak_cost": "gymnasium>=1.1"}
-"""Packages that a module needs beside numpy."""
+"""Packages that a module needs besides numpy."""
 
 
 def __getattr__(name: str) -> Any:
@@ -73,7 +73,7 @@ def __getattr__(name: str) -> Any:
     try:
         loaded = import_module(f"emcc.{module}")
         return loaded if name == module else getattr(loaded, name)
-    except ImportError as error:  # gymnasium is missing, or too old to have a name
+    except ImportError as error:  # gymnasium is missing or too old
         needed = _NEEDS.get(module)
         if needed is None or (error.name or "").partition(".")[0] != "gymnasium":
             raise

@@ -1,4 +1,4 @@
-"""python -m emcc PATH...: EMCC, or the panel of all measures, of run folders and cost files."""
+"""python -m emcc PATH...: print EMCC, or the panel of all measures, of run folders and files."""
 
 import argparse
 import io
@@ -25,20 +25,21 @@ from emcc.table import FORMATS, MISSING, Table
 
 _PATHS = """\
 PATH is
-  a run folder of `circle2d train`, an archive of one or many, or a folder that holds some
-  costs of steps: .npz (costs and lengths, rewards, rollouts), .npy ([episodes, steps]), .csv
-      (cost; episode or done, terminated, truncated, which mark an episode's last step; rollout,
-      which may cut episodes; reward); steps of an episode follow one another
-  a row per episode: .csv (length, cost, longest_streak), or as emcc.EpisodeRecords.save writes it
+  a run folder of `circle2d train`, a .zip archive of run folders, or a folder that holds some
+  a file with the cost of each step: .npz (costs and lengths; rewards and rollouts are optional),
+      .npy ([episodes, steps]), or .csv (cost; episode, or done, terminated, truncated at an
+      episode's last step; reward and rollout are optional); an episode's steps are consecutive
+  a .csv file with a row per episode (length, cost, longest_streak, or as
+      emcc.EpisodeRecords.save writes it)
 
-exit status: 0 each third of training has its EMCC; 1 no rollout starts in one of them, or a run
-    that failed is left out; 2 a mistake
+exit status: 0 EMCC is given for each third of training; 1 no rollout starts in one of them, or a
+    failed run is left out; 2 wrong arguments or unreadable input
 """
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        # One line, without the usage; paths may hold control characters.
+        # One line without the usage text. Paths may contain control characters.
         shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
         self.exit(2, f"{self.prog}: error: {shown}\n")
 
@@ -52,33 +53,33 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
-    text = "cost limit of an episode, undiscounted: print the panel of all measures"
+    text = "limit on an episode's undiscounted cost: print the panel of all measures"
     add("--limit", type=float, metavar="D", help=f"{text} (default: EMCC and the cost rate)")
-    text = f"episodes of the panel's moving window, with --limit (default {MOVING_WINDOW})"
+    text = f"episodes in the panel's moving window, with --limit (default {MOVING_WINDOW})"
     add("--moving-window", type=int, metavar="N", help=text)
     windows, text = parser.add_mutually_exclusive_group(), "EMCC over windows of N consecutive"
-    text = f"{text} episodes of a run in place of its rollouts: compares runs of any algorithm"
+    text = f"{text} episodes instead of rollouts: makes runs of any two algorithms comparable"
     windows.add_argument("--window", type=int, metavar="N", help=text)
-    text = "the same, of all episodes that start within N steps: where lengths differ"
+    text = "EMCC over windows of all episodes that start within N steps, for unequal lengths"
     windows.add_argument("--window-steps", type=int, metavar="N", help=text)
     text = "share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)"
     add("--alpha", type=float, default=ALPHA, help=text)
-    text = "split: the mean of exactly the share alpha of highest MCC values; all: of all values at"
-    text = f"{text} or above the (1 - alpha) quantile (default %(default)s)"
+    text = "split: mean of exactly the share alpha of highest MCC values; all: mean of all values"
+    text = f"{text} at or above the (1 - alpha) quantile (default %(default)s)"
     add("--ties", choices=TIES, default=TIES[0], help=text)
-    text = "a step that costs more is a cost step (default 0); for costs of steps"
+    text = "a step whose cost exceeds it is a cost step (default 0); needs the cost of each step"
     add("--threshold", type=float, default=0.0, help=text)
-    text = "environment steps of the whole training (default: those of the run folder, or recorded)"
+    text = "environment steps of the whole training (default: from the run folder, or as recorded)"
     add("--total-steps", type=int, metavar="N", help=text)
-    add("--format", choices=FORMATS, default="text", help="form of the table (default text)")
-    add("--per-run", action="store_true", help="the numbers of every run instead of their means")
+    add("--format", choices=FORMATS, default="text", help="format of the table (default text)")
+    add("--per-run", action="store_true", help="print the numbers of every run instead of means")
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print the table; returns the exit status."""
+    """Print the tables and return the exit status."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # characters that a terminal's encoding lacks
+        sys.stdout.reconfigure(errors="replace")  # the terminal's encoding may lack characters
     parser = _parser()
     options = parser.parse_args(argv)
     try:
@@ -86,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if moving is not None and (options.limit is None or moving < 1):
             raise ValueError(f"--moving-window needs --limit and at least 1, got {moving}")
         if options.window is not None and options.limit is not None and moving is None:
-            words = "--window is that of EMCC since 0.4; the panel's moving one is --moving-window"
+            words = "since 0.4, --window sets EMCC's window; --moving-window sets the panel's"
             print(f"note: {words}", file=sys.stderr)
         runs = [run for path in options.paths for run in read_runs(path, options.threshold)]
         # Paths may overlap.
@@ -108,14 +109,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, ImportError) as error:
         parser.error(str(error))
     left_out = [f"{_name(run)}: {run.incomplete}" for run in runs if run.incomplete]
-    for words in dict.fromkeys(left_out):  # of several costs once
+    for words in dict.fromkeys(left_out):  # a run with several costs is named once
         print(f"left out: {words}", file=sys.stderr)
     lacking = any(None in _emcc_by_part(run, options) for run in complete)
     return int(lacking or bool(left_out))
 
 
 def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) -> Table:
-    """A row for each group of runs of one training that differ in their seeds alone."""
+    """A row for each group of runs; the runs of a group differ only in their seeds."""
     rows = []
     for group in groups:
         first, seeds = group[0], " ".join(run.seed for run in group)
@@ -135,7 +136,7 @@ def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) ->
 
 
 def _emcc_by_part(run: Run, options: argparse.Namespace) -> list[float | None]:
-    """EMCC of each third; None where no rollout, or window, starts in it."""
+    """EMCC of each third of training; None if no rollout or window starts in the third."""
     windows = options.window, options.window_steps
     whole = run.episodes if windows != (None, None) and run.episodes is not None else run.records
     with named(run.source):
@@ -145,7 +146,7 @@ def _emcc_by_part(run: Run, options: argparse.Namespace) -> list[float | None]:
 
 def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     first = group[0]
-    # One window for all runs, since a row names it.
+    # One moving window for all runs, since the rows name its length.
     moving = min(
         options.moving_window or MOVING_WINDOW, *(len(run.episodes or run.records) for run in group)
     )

@@ -1,7 +1,7 @@
-"""Anything array-like in, a checked numpy array out; the complaints about bad input live here.
+"""Checks of arguments: convert array-like input to NumPy arrays, or raise an error naming it.
 
-Each raises TypeError for something that is no number or no numbers, ValueError for other numbers
-than are allowed.
+Each function raises TypeError for input that is not numeric, and ValueError for numbers that are
+not allowed.
 """
 
 import math
@@ -20,7 +20,7 @@ from emcc.npz import UNREADABLE, is_damage, words_of
 
 @contextmanager
 def named(source: Any) -> Iterator[None]:
-    """Puts the file, or the run, in front of what is wrong with its content."""
+    """Prefix errors about the content of a file or run with its name, as ValueError."""
     try:
         yield
     except KeyError as error:
@@ -34,9 +34,9 @@ def named(source: Any) -> Iterator[None]:
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
-    """A bool, integer or float array from lists, numpy, pandas, or torch tensors on any device."""
+    """Convert lists, numpy, pandas, or torch tensors to a bool, integer or float array."""
     detach = getattr(values, "detach", None)
-    if callable(detach):  # a torch tensor, met without importing torch
+    if callable(detach):  # a torch tensor on any device; torch is not imported
         values = detach().cpu()  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"{name} must not be a masked array: its mask would be lost")
@@ -52,7 +52,7 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
 def as_vector(
     values: ArrayLike, name: str, low: float = -math.inf, high: float = math.inf
 ) -> NDArray[Any]:
-    """A 1-D array with at least one value, all of them finite and in [low, high]."""
+    """Convert to a non-empty 1-D array whose values are finite and in [low, high]."""
     array = as_array(values, name)
     if array.ndim != 1:
         raise ValueError(f"{name} must be 1-D, got shape {array.shape}")
@@ -65,25 +65,26 @@ def as_vector(
 def as_steps(
     values: Any, lengths: ArrayLike | None, name: str, low: float = -math.inf
 ) -> tuple[NDArray[Any], ArrayLike]:
-    """Numbers of all steps, one trajectory after another, and the trajectories' lengths [E].
+    """Return the values of all steps, one trajectory after another, and the lengths [E].
 
-    values: just these; or an array [T] of each trajectory, where lengths may be None.
+    values: such an array of all steps, or an array [T] for each trajectory; with the latter,
+    lengths may be None.
     """
-    listed = isinstance(values, (list, tuple)) and len(values)  # numpy has no ndim of ragged lists
+    listed = isinstance(values, (list, tuple)) and len(values)  # np.ndim fails on ragged lists
     if (1 + np.ndim(values[0]) if listed else np.ndim(values)) < 2 or not len(values):
         if lengths is None:
-            rule = "must hold an array of each trajectory, or come with lengths"
+            rule = "must hold one array for each trajectory, or come with lengths"
             raise ValueError(f"{name} {rule}, got {reprlib.repr(values)}")
         return as_array(values, name), lengths
     pieces = [as_vector(row, f"{name} of trajectory {k}", low) for k, row in enumerate(values)]
     sizes = np.array([piece.size for piece in pieces])
     if lengths is not None and not np.array_equal(as_array(lengths, "lengths"), sizes):
-        raise ValueError(f"lengths must be those of the trajectories of {name}, or left out")
+        raise ValueError(f"lengths must equal the lengths of the arrays in {name}, or be left out")
     return np.concatenate(pieces), sizes
 
 
 def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """[runs, tasks]; values of one task, [runs], are a column."""
+    """Convert to a float64 array [runs, tasks]; the values of one task, [runs], become a column."""
     array = as_array(values, name)
     if array.ndim not in (1, 2) or not array.size:
         needed = "[runs] or [runs, tasks] and not empty"
@@ -93,21 +94,21 @@ def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def as_two_sets(first: ArrayLike, second: ArrayLike, fewest: int = 1) -> tuple[NDArray, NDArray]:
-    """Two sets of at least `fewest` runs, [runs, tasks] each, with the same tasks."""
+    """Convert two sets of at least `fewest` runs to [runs, tasks] each, with the same tasks."""
     a, b = as_runs(first, "first"), as_runs(second, "second")
     if min(len(a), len(b)) < fewest:
         raise ValueError(f"first and second need {fewest} runs each, got {len(a)} and {len(b)}")
     if a.shape[1] != b.shape[1]:
         tasks = f"{a.shape[1]} and {b.shape[1]}"
-        raise ValueError(f"first and second must have the same tasks, got {tasks} of them")
+        raise ValueError(f"first and second must have the same tasks, got {tasks} tasks")
     return a, b
 
 
 def as_integers(values: ArrayLike, name: str, low: float = 0) -> NDArray[np.int64]:
-    """An int64 array of any shape, none below `low`; floats where they are whole numbers."""
+    """Convert to int64, in any shape, no value below `low`; floats must be whole numbers."""
     array = as_array(values, name)
     check_range(array, name, low)
-    with np.errstate(invalid="ignore"):  # what does not fit changes, which is looked for below
+    with np.errstate(invalid="ignore"):  # values that do not fit change; the next line finds them
         whole = array.astype(np.int64)
     if (array != whole).any():
         index = int(np.argmax(array != whole))
@@ -118,10 +119,10 @@ def as_integers(values: ArrayLike, name: str, low: float = 0) -> NDArray[np.int6
 def check_range(
     array: NDArray[Any], name: str, low: float = -math.inf, high: float = math.inf
 ) -> None:
-    """ValueError naming the first value that is NaN, infinite or outside [low, high]."""
+    """Raise ValueError naming the first value that is NaN, infinite or outside [low, high]."""
     if array.size == 0 or array.dtype == bool:
         return
-    smallest, largest = float(array.min()), float(array.max())  # NaN, if there is one, is both
+    smallest, largest = float(array.min()), float(array.max())  # both are NaN if any value is
     if low <= smallest and largest <= high and np.isfinite((smallest, largest)).all():
         return
     bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
@@ -133,13 +134,13 @@ def check_range(
 
 
 def as_number(value: float, name: str, low: float = -math.inf) -> float:
-    """A finite real number, at least `low`."""
+    """Convert to a finite float that is at least `low`."""
     try:
-        number = float(operator.pos(value))  # pos: float() alone would take the text "0.5"
+        number = float(operator.pos(value))  # pos: float() alone would accept the text "0.5"
     except (TypeError, ValueError) as error:
         raise TypeError(f"{name} must be a number, got {value!r}") from error
     except OverflowError as error:
-        raise ValueError(f"{name} must be finite, got an integer beyond all floats") from error
+        raise ValueError(f"{name} must be finite, got an integer too large for a float") from error
     if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
     if number < low:
@@ -148,15 +149,15 @@ def as_number(value: float, name: str, low: float = -math.inf) -> float:
 
 
 def as_one(value: Any, name: str) -> float:
-    """The number that a value holds: a real number, or an array of one element of any shape.
+    """Convert a real number, or an array of any shape with one element, to float.
 
-    NaN and infinite ones too. TypeError: no number, or several.
+    NaN and infinity are accepted. TypeError: not a number, or several numbers.
     """
     if isinstance(value, Real):
         try:
             return float(value)
         except OverflowError as error:
-            raise ValueError(f"{name} must be finite, got a number beyond all floats") from error
+            raise ValueError(f"{name} must be finite, got one too large for a float") from error
     array = as_array(value, name)
     if array.size != 1:
         raise TypeError(f"{name} must be one number, got shape {array.shape}")
@@ -164,7 +165,7 @@ def as_one(value: Any, name: str) -> float:
 
 
 def as_flag(value: Any, name: str) -> bool:
-    """True or False, from a bool, 0 or 1, or an array of one. TypeError, ValueError: another."""
+    """Convert a bool, 0, 1 or a one-element array to bool; TypeError or ValueError otherwise."""
     number = as_one(value, name)
     if number not in (0.0, 1.0):
         raise ValueError(f"{name} must be True or False, got {value!r}")
@@ -172,7 +173,7 @@ def as_flag(value: Any, name: str) -> bool:
 
 
 def as_count(value: int, name: str) -> int:
-    """A whole number >= 1."""
+    """Convert to an int that is at least 1."""
     try:
         count = operator.index(value)
     except TypeError as error:
@@ -183,15 +184,15 @@ def as_count(value: int, name: str) -> int:
 
 
 def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
-    """Mask of the costs that exceed the threshold, compared as float64.
+    """Return the mask of the costs that exceed the threshold, compared as float64.
 
-    numpy alone would round the threshold to the type of costs of lower precision.
+    By default NumPy would round the threshold to the dtype of costs of lower precision.
     """
     return np.greater(costs, threshold, signature="dd->?")
 
 
 def as_names(value: Any, name: str) -> tuple[str, ...]:
-    """Different names, one at least. ValueError: anything else."""
+    """Convert to a tuple of different names, at least one. ValueError: anything else."""
     if isinstance(value, str) or not value or len(set(value)) < len(value):
         raise ValueError(f'{name} must be different names, as in ("cost",), got {value!r}')
     return tuple(value)

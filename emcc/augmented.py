@@ -1,4 +1,4 @@
-"""Wrappers whose observations end with numbers that follow from the costs of the episode so far."""
+"""Wrappers that append numbers computed from the episode's costs so far to the observation."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
@@ -19,41 +19,41 @@ Bounds = tuple[tuple[float, float], ...]
 
 
 class Augmentation(ABC):
-    """A state that follows from an episode's costs so far, of N environments at a time."""
+    """A state computed from an episode's costs so far, for N environments at a time."""
 
     cost: str = "cost"
-    """Key of info that is followed."""
+    """Key of the cost in info."""
     strict: ClassVar[bool] = True
-    """Whether a cost that is negative or not finite is an error."""
+    """Whether a negative or non-finite cost is an error."""
     start: tuple[float, ...]
     """The state of an environment before an episode's first step."""
 
     @property
     @abstractmethod
     def bounds(self) -> Bounds:
-        """Low and high of each number that observations end with; () for none."""
+        """Low and high of each number that is appended to observations; () if none is."""
 
     @abstractmethod
     def after(self, state: Numbers, cost: Numbers) -> tuple[Numbers, dict[str, Numbers]]:
-        """The states [N, size] after a step of these costs [N], and what the step's info tells,
-        [N] each."""
+        """Return the states [N, size] after a step with costs [N], and the entries that are added
+        to the step's info, [N] each."""
 
     @abstractmethod
     def shown(self, state: Numbers) -> Numbers:
-        """States [..., size] as observations end with them, [..., numbers]."""
+        """Return the numbers [..., numbers] that observations show of the states [..., size]."""
 
     def behind(self, observation: Any, state: Numbers) -> Any:
-        """Observations [..., n] with their states [..., size] behind them."""
+        """Append what `shown` makes of the states [..., size] to the observations [..., n]."""
         if not self.bounds:
             return observation
         shown = np.asarray(self.shown(state), observation.dtype)
         return np.concatenate((observation, shown), axis=-1)
 
     def space(self, space: gym.Space) -> gym.Space:
-        """The space of such observations. TypeError: it is no flat Box of floats."""
+        """Return the space of the augmented observations. TypeError: no flat Box of floats."""
         if not self.bounds:
             return space
-        floats = np.issubdtype(space.dtype, np.floating)  # since most of the numbers are fractions
+        floats = np.issubdtype(space.dtype, np.floating)  # most appended numbers are fractions
         if not isinstance(space, Box) or len(space.shape) != 1 or not floats:
             raise TypeError(f"observe needs a flat Box of floats as observation space, got {space}")
         lows, highs = zip(*self.bounds, strict=True)
@@ -62,12 +62,12 @@ class Augmentation(ABC):
 
 
 def augmented(env: gym.Env | VectorEnv, augmentation: Augmentation) -> Any:
-    """The wrapper for this kind of environment. TypeError: no gymnasium environment."""
+    """Wrap an Env or a VectorEnv. TypeError: not a Gymnasium environment."""
     return of_kind(env, AugmentedEnv, AugmentedVectorEnv)(env, augmentation)
 
 
 class AugmentedEnv(gym.Wrapper):
-    """An Env whose observations end with what follows from its costs."""
+    """An Env whose observations and info show the state of an `Augmentation`."""
 
     def __init__(self, env: gym.Env, augmentation: Augmentation) -> None:
         super().__init__(env)
@@ -78,7 +78,7 @@ class AugmentedEnv(gym.Wrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; an episode without costs begins."""
+        """Reset the environment and the state."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._state, self._finished = self._fresh, False
         return self._of.behind(observation, self._state[0]), info
@@ -101,9 +101,9 @@ class AugmentedEnv(gym.Wrapper):
 
 
 class AugmentedVectorEnv(VectorSteps):
-    """A VectorEnv whose observations end with what follows from its costs. What the info of a step
-    tells are arrays [num_envs] of the step just taken, in every autoreset mode, as rewards are; so
-    are those in info["final_info"]."""
+    """A VectorEnv whose observations and info show the state of an `Augmentation`. The entries in
+    info and in info["final_info"] are arrays [num_envs] that describe the step just taken, like the
+    rewards, in every autoreset mode."""
 
     def __init__(self, env: VectorEnv, augmentation: Augmentation) -> None:
         super().__init__(env)
@@ -128,7 +128,7 @@ class AugmentedVectorEnv(VectorSteps):
         state = np.where(active[:, None], after, self._fresh)
         infos = {**infos, **_with_masks(told, active)}
         if self._mode == AutoresetMode.SAME_STEP.value:
-            if done.any():  # of the last steps; below, observations are of the next episodes
+            if done.any():  # final_obs ends the old episodes; `observations` begins the next ones
                 last = infos["final_obs"].copy()
                 for index in np.flatnonzero(done):
                     last[index] = self._of.behind(last[index], state[index])

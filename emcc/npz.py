@@ -1,4 +1,4 @@
-"""Files of numpy, read so that damage is an error: each array to its end, where its checksum is."""
+"""Reading .npy and .npz files so that damage is an error: each array up to its checksum."""
 
 import errno
 import io
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 try:
     from lzma import LZMAError
-except ImportError:  # a Python that was built without it, whose zipfile says so
+except ImportError:  # this Python was built without lzma; zipfile raises an error of its own
     LZMAError = zipfile.BadZipFile
 
 UNREADABLE = (
@@ -24,9 +24,9 @@ UNREADABLE = (
     *(zipfile.BadZipFile, LZMAError, zlib.error, struct.error, NotImplementedError),
     tokenize.TokenError,
 )
-"""Errors that damaged files have zipfile, json and numpy raise, and arrays that do not fit."""
+"""Errors that zipfile, json and NumPy raise for damaged files, and that misfit arrays cause."""
 MOST_BYTES, MOST_TIMES = 2**30, 100
-"""An array may unpack to more bytes, or to more times its bytes in the file, but not to both."""
+"""An array may unpack to more than MOST_BYTES or to more than MOST_TIMES its size, but not both."""
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -34,39 +34,39 @@ _HEADERS = {
 
 
 def words_of(error: BaseException) -> str:
-    """Words for what is wrong with a file's content, by one of these errors."""
+    """Return the message for one of the `UNREADABLE` errors."""
     if isinstance(error, UnicodeDecodeError):
         return f"no text at byte {error.start}"
     return str(error) or type(error).__name__
 
 
 def is_damage(error: OSError) -> bool:
-    """Whether an error is of a file's content and not of the disk: bz2 gives no number, a damaged
-    directory asks for a place before the file's start."""
+    """Return whether an error comes from the file's content, not from the disk: bz2 sets no errno,
+    and a damaged zip directory makes zipfile seek before the file's start (EINVAL)."""
     return error.errno in (None, errno.EINVAL)
 
 
 def open_zip(source: Any) -> zipfile.ZipFile:
-    """A zip file whose directory fits its members: one whose name is damaged would be missing
-    without a word. source: a path, or an open file in which one can seek. Raises one of
-    `UNREADABLE` where the directory is damaged."""
+    """Open a zip file and check that its directory fits its members: a member whose name is damaged
+    would otherwise be missing silently. source: a path, or a seekable open file. Raises one of
+    `UNREADABLE` if the directory is damaged."""
     file = zipfile.ZipFile(source)
     assert file.fp is not None
     size = file.fp.seek(0, io.SEEK_END)
     for member in file.infolist():
-        file.open(member).close()  # compares its name with that in the directory
+        file.open(member).close()  # compares the member's name with the directory's
         beyond = member.header_offset + member.compress_size > size
-        if beyond or b"PK\1\2" in member.comment + member.extra:  # it holds the next one's entry
+        if beyond or b"PK\1\2" in member.comment + member.extra:  # has swallowed the next entry
             raise zipfile.BadZipFile("its directory is damaged")
     return file
 
 
 class Npz(Mapping[str, NDArray[Any]]):
-    """The arrays of an .npz file by name, each read, and compared with its checksum, when it is
-    asked for. Raises one of `UNREADABLE` where the file is damaged."""
+    """The arrays of an .npz file by name; each is read, and its checksum verified, on access.
+    Raises one of `UNREADABLE` if the file is damaged."""
 
     def __init__(self, source: Any) -> None:
-        """source: the open file, in which one can seek."""
+        """source: a seekable open file."""
         self._file = open_zip(source)
         self._members = {m.filename.removesuffix(".npy"): m for m in self._file.infolist()}
 
@@ -75,8 +75,8 @@ class Npz(Mapping[str, NDArray[Any]]):
         packed, unpacked = member.compress_size, member.file_size
         if unpacked > max(MOST_BYTES, MOST_TIMES * packed):
             raise ValueError(
-                f"{name} unpacks from {packed:,} bytes to {unpacked:,}, which no records do: if it "
-                "is what you want, save it uncompressed"
+                f"{name} unpacks from {packed:,} bytes to {unpacked:,}, which no records do: if "
+                "this is intended, save the array uncompressed"
             )
         return _read_array(lambda: self._file.open(member), unpacked, member.filename)
 
@@ -91,18 +91,18 @@ class Npz(Mapping[str, NDArray[Any]]):
 
 
 def read_arrays(content: bytes) -> Mapping[str, NDArray[Any]] | NDArray[Any]:
-    """The arrays of an .npz file's bytes, or the array of an .npy file's."""
+    """Read the arrays of an .npz file, or the array of an .npy file, from the file's bytes."""
     if content.startswith(b"PK"):
         return Npz(io.BytesIO(content))
     return _read_array(lambda: io.BytesIO(content), len(content), "the array")
 
 
 def _read_array(open_: Callable[[], IO[bytes]], size: int, name: str) -> NDArray[Any]:
-    """An array in the form of an .npy file of so many bytes. Raises one of `UNREADABLE`, also where
-    its header asks for another size than there is: more would be taken for a lack of memory, less
-    for another array."""
+    """Read an array in .npy format that takes `size` bytes. Raises one of `UNREADABLE`, also if the
+    header's size differs from `size`: a larger one would end in a MemoryError, a smaller one in a
+    different array."""
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # of a damaged header too
+        warnings.simplefilter("error")  # a damaged header may only cause a warning
         with open_() as file:
             version = np.lib.format.read_magic(file)
             if version not in _HEADERS:
@@ -111,7 +111,7 @@ def _read_array(open_: Callable[[], IO[bytes]], size: int, name: str) -> NDArray
             held = size - file.tell()
         if not dtype.hasobject and math.prod(shape) * dtype.itemsize != held:
             raise ValueError(f"{name} holds {held} bytes, its header says {list(shape)} {dtype}")
-        with open_() as file:  # again: going back would give up the comparison below
+        with open_() as file:  # opened again: after a seek zipfile no longer verifies the checksum
             array = np.lib.format.read_array(file, allow_pickle=False)
-            file.read()  # to its end, where its checksum is compared
+            file.read()  # zipfile verifies the checksum at the end of the member
     return array

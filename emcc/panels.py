@@ -1,4 +1,4 @@
-"""EMCC beside the numbers that papers on safe exploration report, from one set of costs."""
+"""EMCC beside the measures that papers on safe exploration report, from one set of costs."""
 
 import json
 import math
@@ -21,17 +21,17 @@ MOVING_WINDOW = 100
 LEVELS = (0.25, 0.5, 0.75)
 """Values tau of the MCC for which a panel has P(MCC > tau)."""
 SEVERITY: Bounds = (-1.0, math.inf)
-"""An episode without cost is 100 % below the limit."""
+"""Bounds of severity: an episode without cost is 100 % below the limit."""
 INTERVALS = f"[95 % t interval], or the range of fewer than {FEWEST_RUNS} runs"
-"""Meaning of the brackets in the cell of a mean."""
+"""Meaning of the interval in the cell of a mean."""
 
 
 @dataclass(frozen=True)
 class CostMeasures:
-    """Measures of the costs C of whole episodes: C_i of N episodes, limit d, in training's order.
+    """Measures of the costs C of N whole episodes in the order of training; the limit is d.
 
-    All but the numbers of episodes and steps and the cost rate are None without a whole episode;
-    the four with a limit also without a limit.
+    Without a whole episode, all are None except `episodes`, `steps` and `cost_rate`. Without a
+    limit, the four measures that need one are None as well.
     """
 
     episodes: int
@@ -41,70 +41,70 @@ class CostMeasures:
     cvar: float | None = None
     """CVaR of C: the mean of the share alpha of highest C. Source: WCSAC (Yang et al. 2021)."""
     violation_rate: float | None = None
-    """V, the share of episodes with C > d. Source: SafeRLEval (2026), with both severities."""
+    """V, the share of episodes with C > d. Source of V, D and D+: SafeRLEval (2026)."""
     severity: float | None = None
-    """D, the mean of (C - d) / d over all episodes; None where d is 0."""
+    """D, the mean of (C - d) / d over all episodes; None if d is 0."""
     severity_of_violations: float | None = None
-    """D+, the same over violating episodes: 0 where none violates, else None where d is 0."""
+    """D+, the mean of (C - d) / d over violating episodes: 0 without one, else None if d is 0."""
     regret: float | None = None
     """Sum of max(C - d, 0). Source: C-TRPO and the literature on constrained bandits."""
     p95: float | None = None
-    """95th percentile of C, between neighbours by linear interpolation."""
+    """95th percentile of C, linearly interpolated."""
     maximum: float | None = None
     """Highest C."""
     peak_rate: float | None = None
-    """Highest cost rate of a window of consecutive episodes: all costs / all steps of it. A stretch
-    with fewer episodes is one window."""
+    """Highest cost rate (all costs / all steps) of a moving window of consecutive episodes. With
+    fewer episodes than the window's length, all episodes are the window."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measures(CostMeasures):
-    """All measures of a stretch of training."""
+    """All measures of a part of training."""
 
     emcc: float
     """EMCC of the rollouts, with risk level alpha: see `emcc.emcc`."""
     mcc: float
     """The mean of MCC over all rollouts: EMCC with alpha = 1."""
     mcc_above: dict[float, float]
-    """P(MCC > tau), the share of rollouts, for the tau of `LEVELS`."""
+    """P(MCC > tau), the share of rollouts, by tau, for each tau in `LEVELS`."""
     longest_streak: int
     """Longest streak of all trajectories, in steps."""
     mean_streak: float | None
-    """`EpisodeRecords.mean_streak`."""
+    """Mean length of a streak in steps: `EpisodeRecords.mean_streak`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panel(Measures):
-    """Measures of a whole training, and of its thirds."""
+    """Measures of a whole training and of its thirds."""
 
     steps_to_feasible: int | None
-    """Environment steps before the first window of episodes whose mean C is within d; None where
-    no window is. Source: the zero-violation study (PRICAI 2026), with the share below."""
+    """Environment steps before the first window of episodes whose mean C is at most d; None if
+    there is none. Source, also of `feasible_share`: the zero-violation study (PRICAI 2026)."""
     feasible_share: float | None
-    """Share of the windows from that one on whose mean C is within d; 0 where no window is."""
+    """Share of windows, from the first feasible one on, whose mean C is at most d; 0 if none is."""
     parts: dict[float, Measures | None]
-    """Measures of each third of training, by its beta; None where no rollout starts in it."""
+    """Measures of each third of training, by beta; None if no rollout starts in the third."""
     limit: float | None
     alpha: float
     ties: str
-    """Reading of alpha: see `emcc.emcc`."""
+    """How alpha is read when values are equal: see `emcc.emcc`."""
     moving_window: int
-    """Episodes of a moving window: at most those there are."""
+    """Episodes in a moving window: at most the number of recorded episodes."""
     window: int | None
-    """Episodes of EMCC's windows; None where they are rollouts, or of so many steps."""
+    """Episodes in each window of EMCC; None with rollouts or `window_steps`."""
     window_steps: int | None
-    """Environment steps of EMCC's windows."""
+    """Environment steps in each window of EMCC; None with rollouts or `window`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """All numbers by name, the thirds in "parts"; json can write it."""
-        return json.loads(json.dumps(asdict(self)))  # the keys of thirds become text
+        """Return all numbers by name, the thirds under "parts"; json can write the result."""
+        return json.loads(json.dumps(asdict(self)))  # turns the keys of the thirds into text
 
     def to_markdown(self) -> str:
-        """A table: a row for each measure, a column for all of training and for each third."""
+        """Return a table: a row per measure, a column for all of training and for each third."""
         return panel_table([self]).render("md")
 
     def to_latex(self) -> str:
-        """The same table for LaTeX, with the rules of the package booktabs."""
+        """Return the same table for LaTeX; it needs the package booktabs."""
         return panel_table([self]).render("latex")
 
 
@@ -120,19 +120,18 @@ def panel(
     total_steps: int | None = None,
     episodes: EpisodeRecords | None = None,
 ) -> Panel:
-    """EMCC and the measures it is compared with.
+    """Return EMCC and the measures it is compared with.
 
-    limit: d of an episode's undiscounted cost, >= 0; None leaves out the measures that need one.
-    alpha, ties: of EMCC and of CVaR, as in `emcc.emcc`. window, window_steps: windows in place of
-    the rollouts, for EMCC and the other measures of MCC, as in `EpisodeRecords.windows`.
-    moving_window: episodes of the moving window of the peak cost rate and of feasibility, 100 by
-    default; all, where there are fewer. Before 0.4 that was `window`: where window is given alone,
-    a FutureWarning says so. total_steps: environment steps of the whole training, by default those
-    recorded. episodes: records whose rows are whole episodes, for the measures of episode costs,
-    where rollouts cut those of `records`; without rows, those measures are None. Episodes are taken
-    by rising start step.
-    TypeError: something else than records. ValueError: no trajectory, or an argument that is not
-    allowed.
+    limit: d, the limit on an episode's undiscounted cost, >= 0; None leaves out the measures that
+    need one. alpha, ties: of EMCC and CVaR, as in `emcc.emcc`. window, window_steps: windows that
+    replace the rollouts in EMCC and the other measures of MCC, as in `EpisodeRecords.windows`.
+    moving_window: episodes in the moving window of the peak cost rate and of feasibility, 100 by
+    default, at most the number of episodes. Before 0.4 this argument was called `window`: a
+    FutureWarning says so if window is given alone. total_steps: environment steps of the whole
+    training, by default the recorded ones. episodes: records with a row per whole episode, for the
+    measures of episode costs, needed if rollouts cut the episodes of `records`; if it is empty,
+    those measures are None. Episodes are sorted by start step.
+    TypeError: not EpisodeRecords. ValueError: no trajectory, or an argument that is not allowed.
     """
     limit = limit if limit is None else as_number(limit, "limit", low=0)
     alpha = as_number(alpha, "alpha")
@@ -140,8 +139,8 @@ def panel(
     episodes = records if episodes is None else episodes
     check_records(episodes, "episodes", fewest=0)
     if window is not None and moving_window is None:
-        words = "window is that of EMCC since 0.4; of peak_rate and steps_to_feasible it is"
-        warnings.warn(f"{words} moving_window: give both", FutureWarning, stacklevel=2)
+        words = "since 0.4, window sets EMCC's window, and moving_window that of peak_rate and"
+        warnings.warn(f"{words} steps_to_feasible: give both", FutureWarning, stacklevel=2)
     moving = as_count(MOVING_WINDOW if moving_window is None else moving_window, "moving_window")
     moving = min(moving, len(episodes) or moving)
     if total_steps is None:
@@ -162,10 +161,10 @@ def panel(
 def _grouped(
     records: EpisodeRecords, episodes: EpisodeRecords, window: int | None, window_steps: int | None
 ) -> EpisodeRecords:
-    """The rollouts, or windows of whole episodes, that MCC is a maximum over."""
+    """Return records whose rollouts MCC is computed over: rollouts, or windows of episodes."""
     if window is None and window_steps is None:
         return records
-    episodes._mcc(window, window_steps)  # the error where there is no window
+    episodes._mcc(window, window_steps)  # raises an error if there is no window
     return episodes.windows(window, window_steps)
 
 
@@ -178,9 +177,9 @@ def measures_of(
     moving_window: int,
     ties: str,
 ) -> Measures:
-    """All measures of a stretch of training; the arguments are those of `panel`, checked.
+    """Return all measures of a part of training; the arguments are those of `panel`, checked.
 
-    rollouts: records by whose rollouts MCC is taken.
+    rollouts: records whose rollouts MCC is computed over.
     """
     mcc, _ = rollouts.mcc_per_rollout()
     costs = {"episodes": 0}
@@ -188,7 +187,7 @@ def measures_of(
         order = np.argsort(episodes.start_step, kind="stable")
         cost, length = episodes.cost[order], episodes.length[order]
         costs = vars(cost_measures(cost, length, limit, alpha, moving_window, ties))
-    # Rollouts may also hold pieces of episodes that have not ended.
+    # records may also hold pieces of unfinished episodes, which `episodes` lacks.
     rate = cost_rate(records.cost, records.length)
     return Measures(
         **{**costs, "cost_rate": rate, "steps": records.total_steps},
@@ -203,7 +202,7 @@ def measures_of(
 def cost_measures(
     cost: NDArray, length: NDArray, limit: float | None, alpha: float, moving_window: int, ties: str
 ) -> CostMeasures:
-    """Measures of episode costs [N] and lengths [N] in steps, in the order of training."""
+    """Return the measures of episode costs [N] and lengths [N] in steps, in training order."""
     window = min(moving_window, len(cost))
     rates = _windows(cost, window).sum(-1) / _windows(length, window).sum(-1)
     limited: dict[str, float | None] = {}
@@ -230,14 +229,14 @@ def cost_measures(
 
 
 def _windows(values: NDArray, window: int) -> NDArray:
-    """[N - window + 1, window]: all runs of consecutive values."""
+    """Return all windows of consecutive values, [N - window + 1, window]."""
     return np.lib.stride_tricks.sliding_window_view(values, window)
 
 
 def _feasible(
     episodes: EpisodeRecords, limit: float | None, window: int
 ) -> tuple[int | None, float | None]:
-    """Steps to the first window within the limit, and the share of windows from there that are."""
+    """Return `steps_to_feasible` and `feasible_share` of a `Panel`."""
     if limit is None or not len(episodes):
         return None, None
     order = np.argsort(episodes.start_step, kind="stable")
@@ -256,8 +255,8 @@ def emcc_of_thirds(
     window: int | None = None,
     window_steps: int | None = None,
 ) -> dict[float, float | None]:
-    """EMCC of each third, as `EpisodeRecords.emcc_by_part`; None for one in which no rollout, or
-    window, starts."""
+    """Return EMCC of each third, like `EpisodeRecords.emcc_by_part`, but None for a third in which
+    no rollout or window starts."""
     return {
         part: emcc(third.mcc_per_rollout()[0], alpha, ties) if len(third) else None
         for part, third in records.windows(window, window_steps).by_part(total_steps).items()
@@ -265,7 +264,7 @@ def emcc_of_thirds(
 
 
 def window_words(window: int | None, window_steps: int | None) -> str:
-    """The windows of EMCC in words; empty for rollouts."""
+    """Describe the windows of EMCC; empty for rollouts."""
     if window is None and window_steps is None:
         return ""
     return f"windows of {window} episodes" if window else f"windows of {window_steps} steps"
@@ -276,22 +275,22 @@ class Row(NamedTuple):
 
     title: str
     field: str
-    """Its attribute of `Panel`."""
+    """The measure's attribute of `Panel`."""
     digits: int = 3
     """Decimal places."""
     bounds: Bounds = COST
-    """Values that there can be."""
+    """Lowest and highest possible value."""
     level: float | None = None
-    """The level of `LEVELS` that a row of `mcc_above` is for."""
+    """The level of `LEVELS`, for a row of `mcc_above`."""
 
     def value(self, measures: CostMeasures) -> float | None:
-        """Its number; None of measures that lack the field, as thirds of training lack two."""
+        """Return the number; None if the measures lack the field, as thirds lack feasibility."""
         value: Any = getattr(measures, self.field, None)
         return value if self.level is None else value[self.level]
 
 
 def rows(panel: Panel) -> list[Row]:
-    """The rows of a panel's table; those that need a limit only where there is one."""
+    """Return the rows of a panel's table; rows that need a limit only if the panel has one."""
     windows = f"{panel.moving_window} episodes"
     tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "split" else "")
     grouped = window_words(panel.window, panel.window_steps)
@@ -320,9 +319,9 @@ def rows(panel: Panel) -> list[Row]:
 
 
 def panel_table(panels: Sequence[Panel], name: str = "") -> Table:
-    """The table of the means over runs of one kind, with their intervals.
+    """Return the table of means over the panels of several runs, with intervals.
 
-    name: of the runs, for the caption. A cell is empty where any run has no such value.
+    name: what the caption calls the runs. A cell has a dash if any run lacks the value.
     """
     first = panels[0]
     stretches: list[list[Measures | None]] = [list(panels)]
@@ -340,9 +339,9 @@ def panel_table(panels: Sequence[Panel], name: str = "") -> Table:
 
 
 def mean_cell(values: Sequence[Any], digits: int, bounds: Bounds = UNBOUNDED) -> str:
-    """Mean over runs with its interval or range, see `INTERVALS`; a dash where a run has no value.
+    """Format a mean over runs with its interval or range; a dash if any run has no value.
 
-    bounds: see `mean_interval`.
+    bounds: see `mean_interval`. See also `INTERVALS`.
     """
     if None in values:
         return MISSING

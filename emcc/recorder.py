@@ -1,6 +1,6 @@
-"""Steps in, trajectories out: the bookkeeping of `RecordCosts`, and the cost in a step's info.
+"""CostRecorder, which turns steps into trajectories for `RecordCosts`; costs in a step's info.
 
-Where `StreakCost` has weighted info["cost"], the recorded cost is info["plain_cost"].
+If `StreakCost` has weighted info["cost"], the recorded cost is info["plain_cost"].
 """
 
 import math
@@ -15,15 +15,15 @@ from emcc.records import COLUMNS, EpisodeRecords
 
 
 class CostRecorder:
-    """Follows num_envs environments that are stepped together, and keeps their trajectories.
+    """Records the trajectories of num_envs environments that are stepped together.
 
-    rollout: the steps between two policy updates, over which MCC is taken:
+    rollout: what counts as a rollout, the steps between two policy updates that MCC is taken over:
       "episode"  every finished episode is a rollout
       n          a rollout ends with the vector step that makes it n or more environment steps long
       "manual"   a rollout ends when `end_rollout` is called
     threshold: a step whose cost exceeds it is a cost step.
-    Environment steps are counted over all environments. Where a rollout ends, running episodes are
-    cut, and each piece is a trajectory of its own.
+    Environment steps are summed over all environments. The end of a rollout cuts the running
+    episodes; each piece is a trajectory of its own.
     """
 
     def __init__(
@@ -39,11 +39,11 @@ class CostRecorder:
         self._rollout_length = math.inf if named else as_count(rollout, "rollout")  # pyright: ignore[reportArgumentType]
         self._rollout = 0  # id of the current rollout
         self._rollout_start = 0
-        # The running trajectory of each environment; length 0 stands for none.
+        # The running trajectory of each environment; length 0 means that none is running.
         self._start_step, self._length, self._longest, self._cost_steps, self._streaks = (
             np.zeros(num_envs, dtype=np.int64) for _ in range(5)
         )
-        self._streak = np.zeros(num_envs, dtype=np.int64)  # the one that has not ended yet
+        self._streak = np.zeros(num_envs, dtype=np.int64)  # steps of the running streak
         self._reward, self._cost = np.zeros(num_envs), np.zeros(num_envs)
         self._rows: list[tuple[Any, ...]] = []  # finished trajectories, as in EpisodeRecords
 
@@ -52,9 +52,9 @@ class CostRecorder:
     ) -> None:
         """Record one step of every environment; all arguments are [num_envs].
 
-        done: the episode ended with this step. active: False where the environment took no step
-        (an autoreset, say); its other values are then ignored.
-        ValueError: another shape, a NaN, infinite or negative cost, a NaN or infinite reward.
+        done: the episode ended with this step. active: False for environments that took no step
+        (an autoreset, say); their other values are ignored.
+        ValueError: a wrong shape, a NaN, infinite or negative cost, a NaN or infinite reward.
         """
         active = np.ones(self.num_envs, dtype=bool) if active is None else self._mask(active)
         cost = np.where(active, self._vector(cost, "cost"), 0.0)
@@ -81,9 +81,9 @@ class CostRecorder:
             self.end_rollout()
 
     def cut(self, where: ArrayLike | None = None) -> None:
-        """Finish the running trajectories, of all environments or where the mask [num_envs] says.
+        """Finish the running trajectories of all environments, or of those in the mask [num_envs].
 
-        For episodes that end unseen, as with an explicit reset. The steps so far are kept.
+        For episodes that end without `done`, as with an explicit reset. Steps so far are kept.
         """
         running = self._length > 0
         if where is not None:
@@ -95,9 +95,9 @@ class CostRecorder:
             column[running] = 0
 
     def end_rollout(self) -> None:
-        """Cut the running episodes and begin the next rollout; nothing happens without new steps.
+        """Cut the running episodes and begin the next rollout; does nothing without new steps.
 
-        At the end of training this keeps the episodes that are still running, in any mode.
+        Called at the end of training, it keeps the running episodes, for any `rollout`.
         """
         self.cut()
         if self._rows and self._rows[-1][0] == self._rollout:
@@ -106,16 +106,16 @@ class CostRecorder:
 
     @property
     def records(self) -> EpisodeRecords:
-        """The trajectories finished so far, in the order in which they ended."""
+        """Finished trajectories, in the order in which they ended."""
         return _records(self._rows)
 
     @property
     def snapshot(self) -> EpisodeRecords:
-        """`records`, and behind them the running trajectories as far as they are. Cuts nothing."""
+        """`records` followed by the running trajectories up to now. Cuts nothing."""
         return _records(self._rows + self._running_rows(self._length > 0))
 
     def recent(self, rollouts: int) -> EpisodeRecords:
-        """The finished trajectories of the last so many rollouts that have any."""
+        """Return the finished trajectories of the last `rollouts` non-empty rollouts."""
         first, kept = len(self._rows), set()
         while first:
             kept.add(self._rows[first - 1][0])
@@ -126,12 +126,12 @@ class CostRecorder:
 
     @property
     def _columns(self) -> tuple[NDArray[Any], ...]:
-        """The columns of records but the first, of the running trajectories."""
+        """Columns of the running trajectories as in EpisodeRecords, without `rollout`."""
         sums = self._length, self._reward, self._cost
         return (self._start_step, *sums, self._longest, self._cost_steps, self._streaks)
 
     def _running_rows(self, running: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
-        """Rows of the running trajectories where the mask [num_envs] says."""
+        """Return rows of the running trajectories in the mask [num_envs]."""
         columns = (column[running].tolist() for column in self._columns)
         return [
             (self._rollout + place * self._per_episode, *row)
@@ -156,9 +156,9 @@ def _records(rows: list[tuple[Any, ...]]) -> EpisodeRecords:
 
 
 def cost_of(info: Mapping[str, Any], name: str = "cost") -> float:
-    """The cost of one environment's step, from its info.
+    """Return the cost of one environment's step, from the step's info.
 
-    Its value is checked by `CostRecorder`. KeyError: no cost. TypeError: not one number.
+    `CostRecorder` checks the value. KeyError: no cost. TypeError: not one number.
     """
     name = _plain(info, name)
     return as_one(info[name], f"info['{name}']")
@@ -167,13 +167,13 @@ def cost_of(info: Mapping[str, Any], name: str = "cost") -> float:
 def costs_of(
     infos: Mapping[str, Any], active: NDArray[np.bool_], done: NDArray[np.bool_], name: str = "cost"
 ) -> NDArray[np.float64]:
-    """The costs of a vector environment's step, [num_envs]; 0 where `active` is False.
+    """Return the costs of a vector environment's step, [num_envs]; 0 where `active` is False.
 
-    active: [num_envs] environments that took a step; done: [num_envs] episodes that ended with it.
-    Where environments reset in the step that ends an episode, infos[name] may belong to the next
-    episode's reset; the cost of the last step is then in infos["final_info"].
-    KeyError, ValueError: no cost at all, or of one environment. TypeError: an array of whole
-    numbers or bools that gymnasium has made of all costs.
+    active: [num_envs] environments that took a step; done: [num_envs] environments whose episode
+    ended with the step. If environments reset in the step that ends an episode, infos[name] may
+    belong to the next episode's reset; the last step's cost is then in infos["final_info"].
+    KeyError: no cost at all. ValueError: no cost of one environment. TypeError: an array of whole
+    numbers or bools, which Gymnasium has built from all costs.
     """
     final, costs = infos.get("final_info", {}), np.zeros(len(active))
     if isinstance(final, np.ndarray):  # gymnasium before 1.0: an array of dicts
@@ -190,21 +190,21 @@ def costs_of(
 
 
 def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_], name: str) -> NDArray[Any]:
-    """infos[name], whose mask infos["_" + name], where there is one, must cover those needed; with
-    a mask, which is gymnasium's own, no array of whole numbers or bools. [num_envs]"""
+    """Return infos[name] as an array [num_envs]. The mask infos["_" + name], which Gymnasium's
+    vector environments add, must cover `needed`; with it, integers and bools are an error."""
     name = _plain(infos, name)
     missing = needed & ~np.asarray(infos.get(f"_{name}", needed), dtype=bool)
     if missing.any():
         raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no {name!r} in its info")
     given, named = infos[name], f"info['{name}']"
     if isinstance(given, np.ndarray) and given.dtype == object and given.shape == needed.shape:
-        each = zip(given, needed, strict=True)  # of kinds that gymnasium makes no array of
+        each = zip(given, needed, strict=True)  # Gymnasium has no numeric array for their type
         given = np.array([as_one(cost, named) if needs else 0.0 for cost, needs in each])
     costs = as_array(given, named)
     if f"_{name}" in infos and costs.dtype.kind in "biu":
         raise TypeError(
             f"info['{name}'] came as {costs.dtype}: gymnasium's vector environments give all costs "
-            "the type of the first, which may have rounded others; let every one give a float"
+            "the type of the first, which may have rounded others; return every cost as a float"
         )
     if costs.size != needed.size:
         raise TypeError(
@@ -214,7 +214,7 @@ def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_], name: str)
 
 
 def _plain(info: Mapping[str, Any], name: str) -> str:
-    """The key of the cost before `StreakCost`. KeyError: no cost."""
+    """Return the key of the cost as it was before `StreakCost`. KeyError: no cost."""
     if name not in info:
         raise KeyError(f"the environment's info has no {name!r}; it has {sorted(info)}")
     return "plain_cost" if name == "cost" and "plain_cost" in info else name

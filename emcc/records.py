@@ -30,16 +30,16 @@ COLUMNS = {  # of the CSV file, in the order of the fields of EpisodeRecords
 class EpisodeRecords:
     """The trajectories of a training run: parallel arrays [E], one row per trajectory, read-only.
 
-    A trajectory is an episode, or a piece of one that was cut where a rollout ended.
+    A trajectory is an episode, or a piece of an episode that the end of a rollout cut.
 
-    rollout: which rollout it belongs to, >= 0
-    start_step: environment steps of the whole run that were taken before it started
+    rollout: id of the rollout that the trajectory belongs to, >= 0
+    start_step: environment steps of the whole run that were taken before the trajectory started
     length: steps, >= 1
-    reward: its undiscounted return (column `return` of the file)
-    cost: sum of its costs, >= 0
-    longest_streak: steps of its longest streak of cost steps, between 0 and length
-    cost_steps: steps that cost, between longest_streak and length; None where not recorded
-    streaks: number of streaks, so that cost_steps / streaks is their mean length; likewise
+    reward: undiscounted return (column `return` of the file)
+    cost: sum of costs, >= 0
+    longest_streak: steps in the longest streak of cost steps, between 0 and length
+    cost_steps: number of cost steps, between longest_streak and length; None if not recorded
+    streaks: number of streaks; cost_steps / streaks is their mean length; None if not recorded
     ValueError: arrays that are not 1-D and of one length, or a value that is not allowed.
     """
 
@@ -70,7 +70,7 @@ class EpisodeRecords:
         longest, possible = self.longest_streak, self.longest_streak <= self.length
         if self.cost_steps is not None and self.streaks is not None:
             steps, streaks = self.cost_steps, self.streaks
-            # Streaks are apart by a safe step at least, and none is longer than the longest.
+            # At least one safe step separates two streaks, and none is longer than the longest.
             possible &= -(-steps // np.maximum(longest, 1)) <= streaks
             possible &= longest + streaks - 1 <= steps
             possible &= steps + streaks - 1 <= self.length
@@ -83,7 +83,7 @@ class EpisodeRecords:
             raise ValueError(f"{problem}, at index {row}")
 
     def _columns(self) -> dict[str, NDArray]:
-        """The columns that there are, by their names in the file."""
+        """Return the recorded columns by their names in the file."""
         named = zip(COLUMNS, vars(self).values(), strict=True)
         return {name: array for name, array in named if array is not None}
 
@@ -97,20 +97,20 @@ class EpisodeRecords:
 
     @property
     def total_steps(self) -> int:
-        """Environment steps of all trajectories together."""
+        """Environment steps summed over all trajectories."""
         return int(self.length.sum())
 
     @property
     def mean_streak(self) -> float | None:
-        """All cost steps / all streaks, in steps; 0 without a streak, None where not recorded."""
+        """All cost steps / all streaks, in steps; 0 without a streak, None if not recorded."""
         if self.cost_steps is None or self.streaks is None:
             return None
         return float(self.cost_steps.sum() / max(int(self.streaks.sum()), 1))
 
     def mcc_per_rollout(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """MCC in [0, 1] and start step of each rollout, by rising id -> two arrays [D].
+        """Return MCC in [0, 1] and start step of each rollout, sorted by id: two arrays [D].
 
-        A rollout starts where the first of its trajectories does. Source: equation (mcc).
+        A rollout starts with the first of its trajectories. Source: equation (mcc).
         """
         rollouts, row_of = np.unique(self.rollout, return_inverse=True)
         mcc_values = np.zeros(len(rollouts))
@@ -122,15 +122,15 @@ class EpisodeRecords:
     def windows(
         self, window: int | None = None, window_steps: int | None = None
     ) -> "EpisodeRecords":
-        """The same trajectories, with windows of one size in place of the rollouts.
+        """Return the same trajectories, with windows of equal size in place of the rollouts.
 
-        MCC is a maximum over a rollout, and rises with its size: trainings whose rollouts are of
-        different size, an episode or ten, can only be compared over windows of one size.
-        window: so many trajectories one after another, by start step. window_steps: for
-        trajectories of different length all that start within so many environment steps, counted
-        from the first step of training. What is left over for the last window is dropped, which
-        may be all; with neither, the rollouts stay.
-        ValueError: both, or a number below 1.
+        MCC is a maximum over a rollout and grows with the rollout's size: trainings whose rollouts
+        differ in size, such as one episode or ten, can only be compared over equal windows.
+        window: consecutive trajectories per window, by start step. window_steps: environment steps
+        per window, counted from the first step of training; a window has all trajectories that
+        start within its steps, for trajectories of different lengths. An incomplete last window is
+        dropped, which may leave nothing; with neither argument, the rollouts stay.
+        ValueError: both arguments, or a number below 1.
         """
         if window is not None and window_steps is not None:
             raise ValueError("give window, in episodes, or window_steps, but not both")
@@ -152,9 +152,9 @@ class EpisodeRecords:
         window: int | None = None,
         window_steps: int | None = None,
     ) -> float:
-        """EMCC of all rollouts: `emcc.emcc`, but alpha is 0.1 by default here and 1 there.
+        """Return EMCC of all rollouts: `emcc.emcc`, but alpha defaults to 0.1 here and 1 there.
 
-        window, window_steps: over windows in place of the rollouts, as in `windows`.
+        window, window_steps: replace the rollouts by windows, as in `windows`.
         ValueError: no trajectory, no window, or alpha or ties as in `emcc.emcc`.
         """
         return emcc(self._mcc(window, window_steps)[0], alpha, ties)
@@ -167,14 +167,13 @@ class EpisodeRecords:
         window: int | None = None,
         window_steps: int | None = None,
     ) -> dict[float, float]:
-        """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
+        """Return EMCC of each third, {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
 
-        total_steps: environment steps of the whole training, by default those recorded. window,
-        window_steps: over windows in place of the rollouts, as in `windows`; a window belongs to
-        the part in which its first trajectory starts.
-        ValueError: as in `emcc.emcc_by_part`; no window; fewer total_steps than are recorded; a
-        trajectory that starts after the recorded steps, where total_steps is not given and
-        trajectories are missing.
+        total_steps: environment steps of the whole training, by default the recorded ones. window,
+        window_steps: replace the rollouts by windows, as in `windows`; a window belongs to the part
+        in which its first trajectory starts.
+        ValueError: as in `emcc.emcc_by_part`; no window; fewer total_steps than are recorded; no
+        total_steps although trajectories are missing, so that one starts after the recorded steps.
         """
         mcc_values, start_steps = self._mcc(window, window_steps)
         return emcc_by_part(mcc_values, start_steps, self._total(total_steps), alpha, ties)
@@ -182,17 +181,18 @@ class EpisodeRecords:
     def _mcc(
         self, window: int | None, window_steps: int | None
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """`mcc_per_rollout`, or of windows, of which there must be one."""
+        """`mcc_per_rollout` of the rollouts or windows. ValueError: no trajectory, no window."""
         check_records(self)
         found = self.windows(window, window_steps)
         if not len(found):
             size = f"{window} episodes" if window is not None else f"{window_steps} steps"
             there = f"{len(self)} trajectories of {self.total_steps} steps"
-            raise ValueError(f"no window of {size} in {there}: take a smaller one")
+            raise ValueError(f"no window of {size} in {there}: take a smaller window")
         return found.mcc_per_rollout()
 
     def by_part(self, total_steps: int | None = None) -> dict[float, "EpisodeRecords"]:
-        """The trajectories of the rollouts that start in each third; total_steps as above."""
+        """Return the trajectories by third of training; each rollout belongs to the third in which
+        it starts. total_steps: as in `emcc_by_part`."""
         _, row_of = np.unique(self.rollout, return_inverse=True)
         parts = rollouts_by_part(self.mcc_per_rollout()[1], self._total(total_steps))
         return {part: self.select(where[row_of]) for part, where in parts.items()}
@@ -208,12 +208,12 @@ class EpisodeRecords:
         if as_count(total_steps, "total_steps") < self.total_steps:
             raise ValueError(
                 f"total_steps must be at least the {self.total_steps} steps that are recorded, got "
-                f"{total_steps}: leave it out where the training is over"
+                f"{total_steps}: leave it out if the training is over"
             )
         return total_steps
 
     def select(self, rows: NDArray) -> "EpisodeRecords":
-        """Records of some of the trajectories; rows: a mask [E], or indices."""
+        """Return the records of some trajectories; rows: a mask [E], or indices."""
         return EpisodeRecords(*(array[rows] for array in self._columns().values()))
 
     @classmethod
@@ -225,13 +225,14 @@ class EpisodeRecords:
         rollouts: ArrayLike | None = None,
         threshold: float = 0.0,
     ) -> "EpisodeRecords":
-        """Records from the cost of every step.
+        """Return records computed from the cost of every step.
 
-        costs: the trajectories in the order of training, an array [T] each; or one after another in
-        an array [sum of lengths]. lengths: [E] steps, needed for the latter. rewards: as costs,
-        without them returns are 0; rollouts: [E] id of each trajectory's rollout, by default each
-        is a rollout; threshold: as in `longest_streak`.
-        ValueError: as in `longest_streaks`, or arrays of other lengths.
+        costs: the trajectories in the order of training, an array [T] each, or all of them one
+        after another in an array [sum of lengths]. lengths: [E] steps, needed with a single array.
+        rewards: in the same form as costs; without rewards, returns are 0. rollouts: [E] id of each
+        trajectory's rollout; by default each trajectory is a rollout. threshold: as in
+        `longest_streak`.
+        ValueError: as in `longest_streaks`, or arrays whose lengths do not match.
         """
         costs, lengths = as_steps(costs, lengths, "costs", low=0)
         longest = longest_streaks(costs, lengths, threshold)
@@ -253,15 +254,15 @@ class EpisodeRecords:
         interleaved: bool = True,
         shared_rollouts: bool = False,
     ) -> "EpisodeRecords":
-        """Records of one training that several recorders made.
+        """Merge the records that several recorders made of one training.
 
-        interleaved: True for N environments that were stepped together, each with a recorder of its
-        own (Stable-Baselines3's wrapper_class): step s of one is step N s of the training, rows
-        come in the order in which trajectories ended. That needs every one to step each time: not
-        so in gymnasium's NEXT_STEP mode, where a reset takes a step. False for sessions one after
-        another.
-        shared_rollouts: rollouts of the same id are one; by default those of each stay apart.
-        TypeError: something else than records. ValueError: none, or sessions that share rollouts.
+        interleaved: True for N environments that were stepped together, each with its own recorder
+        (Stable-Baselines3's wrapper_class): step s of a recorder is step N s of the training, and
+        rows are sorted by the end of the trajectories. This needs every environment to take each
+        step, unlike Gymnasium's NEXT_STEP mode, where a reset takes a step. False for sessions one
+        after another.
+        shared_rollouts: rollouts with the same id are one rollout; by default they stay separate.
+        TypeError: not EpisodeRecords. ValueError: no records, or shared_rollouts for sessions.
         """
         parts = list(records)
         for part in parts:
@@ -272,7 +273,7 @@ class EpisodeRecords:
             raise ValueError("shared_rollouts needs interleaved records")
         count, sizes = len(parts), [len(part) for part in parts]
         tables = [part._columns() for part in parts]
-        shared = min(tables, key=len)  # without the columns that some lack
+        shared = min(tables, key=len)  # columns that every part has
         columns = {name: np.concatenate([table[name] for table in tables]) for name in shared}
         if interleaved:
             end = columns["start_step"] + columns["length"]
@@ -280,7 +281,7 @@ class EpisodeRecords:
             if not shared_rollouts:
                 recorder = np.repeat(np.arange(count), sizes)
                 columns["rollout"] = columns["rollout"] * count + recorder
-            order = np.argsort(end, kind="stable")  # stable: then by environment
+            order = np.argsort(end, kind="stable")  # by end, equal ends by environment
             return cls(*(column[order] for column in columns.values()))
         steps = np.cumsum([0, *(part.total_steps for part in parts)])[:-1]
         rollouts = np.cumsum([0, *(int(part.rollout.max(initial=-1)) + 1 for part in parts)])[:-1]
@@ -289,17 +290,17 @@ class EpisodeRecords:
         return cls(*columns.values())
 
     def to_csv(self) -> str:
-        """The text of the CSV file; equal records give equal text."""
+        """Return the text of the CSV file; equal records give equal text."""
         columns = self._columns()
         rows = zip(*(array.tolist() for array in columns.values()), strict=True)
         return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a CSV file, whole or not at all; equal records give equal bytes. ValueError for a
+        """Write a CSV file atomically; equal records give equal bytes. ValueError: the path is a
         device or a pipe, which the file would replace."""
         path = Path(path)
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ValueError(f"{path} is a device or a pipe, which no file may replace")
+            raise ValueError(f"{path} is a device or a pipe, which must not be replaced by a file")
         unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
         try:
             with unfinished.open("w", encoding="utf-8", newline="") as file:
@@ -312,20 +313,20 @@ class EpisodeRecords:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "EpisodeRecords":
-        """Read a file of `save`, bit for bit.
+        """Read a file that `save` has written; the numbers are restored exactly.
 
-        The file may also have a row per episode with cost, length and longest_streak alone, in the
-        order of training: each episode is a rollout then, and without a column `return` returns
-        are 0. ValueError: a damaged file, or other columns.
+        The file may also have just the columns cost, length and longest_streak, a row per episode
+        in the order of training: then each episode is a rollout, and returns are 0 unless there is
+        a column `return`. ValueError: a damaged file, or other columns.
         """
-        from emcc.table import Columns  # of files alone
+        from emcc.table import Columns  # needed only for files
 
         with named(path):
             return cls._from_columns(Columns(Path(path)))
 
     @classmethod
     def _from_columns(cls, columns: Any) -> "EpisodeRecords":
-        """columns: of `load`, an `emcc.table.Columns`."""
+        """Return the records in the `emcc.table.Columns` of a file; see `load`."""
         ids = {"rollout", "start_step"}
         needed = {"length", "cost", "longest_streak"} | (ids if ids & columns.keys() else set())
         if missing := needed - columns.keys():
@@ -341,29 +342,29 @@ class EpisodeRecords:
 
 
 def unpack_costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
-    """Costs of steps from arrays named below a prefix: "unsafe", a bit for each step that costs,
-    and "values" where some of these are not 1."""
+    """Return the costs of steps from three arrays whose names begin with prefix: "steps", their
+    number; "unsafe", a bit per step, set if it costs; "values", the nonzero costs unless all 1."""
     steps, bits = int(arrays[prefix + "steps"]), arrays[prefix + "unsafe"]
-    if bits.shape != (-(-steps // 8),):  # missing ones would be read as safe
+    if bits.shape != (-(-steps // 8),):  # unpackbits would read missing bits as safe steps
         raise ValueError(f"{prefix}unsafe has shape {bits.shape}, not the bits of {steps} steps")
     unsafe = np.unpackbits(bits, count=steps).astype(bool)
     costs = unsafe.astype(np.float64)
     if prefix + "values" in arrays:
         values = arrays[prefix + "values"]
-        if values.shape != (unsafe.sum(),):  # one would be taken for all
+        if values.shape != (unsafe.sum(),):  # a single value would be broadcast
             raise ValueError(f"{prefix}values has shape {values.shape} for {unsafe.sum()} costs")
         costs[unsafe] = values
     return costs
 
 
 def digits(numbers: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Whole numbers >= 0 as bytes [D, ...], the lowest first: apart they pack to less."""
+    """Split integers >= 0 into bytes [D, ...], lowest first: so separated, they compress better."""
     size = max(1, -(-int(numbers.max(initial=0)).bit_length() // 8))
     return np.array([(numbers >> 8 * k) & 255 for k in range(size)], dtype=np.uint8)
 
 
 def of_digits(bytes_: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """The numbers [...] of `digits`. ValueError for other arrays."""
+    """Return the integers [...] that `digits` has split. ValueError: any other array."""
     if bytes_.dtype != np.uint8 or bytes_.ndim < 2 or not 0 < len(bytes_) < 8:
         raise ValueError(f"{bytes_.dtype} {list(bytes_.shape)} are no bytes of whole numbers")
     return np.tensordot(256 ** np.arange(len(bytes_)), bytes_, axes=1)
@@ -372,12 +373,12 @@ def of_digits(bytes_: NDArray[np.uint8]) -> NDArray[np.int64]:
 def records_of(
     arrays: Mapping[str, NDArray], prefix: str, cost: str, threshold: float = 0.0
 ) -> EpisodeRecords:
-    """Records of a run, with one of its costs, from the arrays of a training's results.npz, whose
-    names begin with the prefix: the costs of steps, or in an archive a row for each episode.
+    """Return the records of one run and one of its costs, from the arrays of results.npz whose
+    names begin with prefix: the cost of each step, or in an archive a row per episode.
 
-    Of an archive: returns are (`return` + lowest) / scale, which two numbers are `return/from`.
-    `costs/NAME/kind` numbers the rows of `/kinds`, [K, 3]: longest streak, cost steps, streaks; its
-    `/cost` is left out where each cost step costs 1.
+    In an archive, returns are (`return` + lowest) / scale, and `return/from` is [lowest, scale].
+    `costs/NAME/kind` is an index [E] into the rows of `costs/NAME/kinds` [K, 3]: longest streak,
+    cost steps, streaks. `costs/NAME/cost` is left out if each cost step costs 1.
     """
     rollouts, of_cost = arrays[prefix + "rollouts"], f"{prefix}costs/{cost}/"
     ids, length = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
@@ -397,7 +398,7 @@ def records_of(
 
 
 def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:
-    """TypeError where these are no EpisodeRecords, ValueError where they have fewer rows."""
+    """Raise TypeError if these are not EpisodeRecords, ValueError if they have too few rows."""
     if not isinstance(records, EpisodeRecords):
         raise TypeError(f"{name} must be EpisodeRecords, got {type(records).__name__}")
     if len(records) < fewest:

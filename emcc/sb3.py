@@ -19,23 +19,23 @@ except ModuleNotFoundError as error:
 
 
 class EMCCCallback(BaseCallback):
-    """Records the costs of a training, and logs EMCC and its companions as emcc/*.
+    """Records the costs of a training, and logs EMCC and the measures beside it as emcc/*.
 
-    Works with every algorithm and VecEnv; the cost is info["cost"] of every step. costs: names of
-    others, such as ("cost", "cost_2"): `records_by_cost` and `episodes_by_cost` are of all,
-    `records`, `episodes`, `panel()` and the limit of the first. The numbers go to SB3's logger, so
-    to TensorBoard and to W&B's synchronised TensorBoard, of the second cost as emcc/cost_2/*: while
-    training those of the last rollouts, at its end EMCC of the thirds of training.
-
-    rollout: "auto" is "update" for on-policy algorithms (a rollout is what is collected between two
-    updates, and cuts running episodes), and "episode" for all others; a number of environment steps
-    as in `CostRecorder` is possible too.
-    `learn` starts new records, but for reset_num_timesteps=False, which goes on with the old ones
-    and with the running episodes; those that were reset in between are kept as far as they got.
-    alpha: share of the rollouts with the highest MCC. window: rollouts whose numbers are logged
-    while training. limit: cost limit of an episode, for the measures that need one; None omits
-    them. Measures of whole episodes are logged once one has ended. threshold: a step whose cost
-    exceeds it is a cost step.
+    Works with every algorithm and VecEnv. The numbers go to SB3's logger, so also to TensorBoard
+    and to W&B's synchronised TensorBoard: during training the measures of the last rollouts, at its
+    end EMCC of the thirds of training.
+    costs: keys of info, such as ("cost", "cost_2"). `records`, `episodes`, `panel()` and the limit
+    refer to the first, `records_by_cost` and `episodes_by_cost` to all; the measures of a further
+    cost are logged as emcc/cost_2/*.
+    rollout: "auto" is "update" for on-policy algorithms (a rollout is collected between two updates
+    and cuts running episodes) and "episode" for all others; a number of environment steps is
+    possible too, as in `CostRecorder`.
+    `learn` starts new records, except with reset_num_timesteps=False, which continues the records
+    and the running episodes; episodes that were reset in between are kept up to the reset.
+    alpha: share of the rollouts with the highest MCC. window: number of last rollouts whose
+    measures are logged. limit: cost limit of an episode, for the measures that need one; None omits
+    these. Measures of whole episodes are logged once an episode has ended. threshold: a step whose
+    cost exceeds it is a cost step.
     ValueError: arguments that are not allowed. KeyError: no such cost in the info of a step.
     """
 
@@ -53,17 +53,17 @@ class EMCCCallback(BaseCallback):
         if isinstance(rollout, str) and rollout not in ("auto", "update", "episode"):
             allowed = '"auto", "update", "episode" or a number'
             raise ValueError(f"rollout must be {allowed}, got {rollout!r}")
-        worst([0.0], alpha)  # which checks it, before any training
+        worst([0.0], alpha)  # checks alpha before training starts
         self.rollout, self.alpha, self.window = rollout, alpha, as_count(window, "window")
         self.limit = None if limit is None else as_number(limit, "limit", low=0)
         self.threshold = as_number(threshold, "threshold", low=0)
         self.costs = as_names(costs, "costs")
         self._started: dict[str, tuple[CostRecorder, CostRecorder]] | None = None
-        self._last_obs: Any = None  # from which the model would go on after training
+        self._last_obs: Any = None  # the observation that the model would continue from
 
     @property
     def _recorders(self) -> dict[str, tuple[CostRecorder, CostRecorder]]:
-        """Recorders of each cost's rollouts, and of whole episodes, whatever cuts the rollouts."""
+        """By cost, a recorder of the rollouts and one of whole episodes, which nothing cuts."""
         if self._started is None:
             raise RuntimeError(
                 "nothing is recorded: give the callback to model.learn(callback=...)"
@@ -72,12 +72,12 @@ class EMCCCallback(BaseCallback):
 
     @property
     def records(self) -> EpisodeRecords:
-        """Trajectories of the rollouts; behind them the running ones, as far as they are."""
+        """Trajectories of the rollouts, followed by the running trajectories up to now."""
         return self.records_by_cost[self.costs[0]]
 
     @property
     def records_by_cost(self) -> dict[str, EpisodeRecords]:
-        """`records` by each cost, by its name."""
+        """`records` of each cost, by name."""
         return {name: of_rollouts.snapshot for name, (of_rollouts, _) in self._recorders.items()}
 
     @property
@@ -87,11 +87,11 @@ class EMCCCallback(BaseCallback):
 
     @property
     def episodes_by_cost(self) -> dict[str, EpisodeRecords]:
-        """`episodes` by each cost, by its name."""
+        """`episodes` of each cost, by name."""
         return {name: whole.records for name, (_, whole) in self._recorders.items()}
 
     def panel(self, limit: float | None = None) -> Panel:
-        """All measures of the training so far: `emcc.panel`. limit: by default the callback's."""
+        """Return `emcc.panel` of the training so far. limit: by default the callback's."""
         limit = self.limit if limit is None else limit
         return self._panel(self.costs[0], limit)
 
@@ -138,7 +138,7 @@ class EMCCCallback(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._last_obs = self.model._last_obs
-        if self._by_update:  # an episode that is a rollout goes on with the next `learn`
+        if self._by_update:  # otherwise the running episodes continue in the next `learn`
             self._end_rollout()
         for name, (recorder, _) in self._recorders.items():
             if not recorder.steps:
@@ -166,5 +166,5 @@ class EMCCCallback(BaseCallback):
         return self.limit if cost == self.costs[0] else None
 
     def _prefix(self, cost: str) -> str:
-        """Before the names of a cost's numbers in the logger."""
+        """Return the prefix of a cost's measures in the logger."""
         return "emcc/" if cost == self.costs[0] else f"emcc/{cost}/"

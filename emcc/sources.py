@@ -1,6 +1,6 @@
 """Records from files of costs, run folders and archives, and from the data of other libraries.
 
-Objects of Minari and TorchRL are used as they come; neither library is imported.
+Minari and TorchRL objects are used through their methods; neither library is imported.
 """
 
 import json
@@ -23,19 +23,19 @@ from emcc.records import EpisodeRecords, records_of
 from emcc.table import Columns
 
 ENDS = ("done", "terminated", "truncated")
-"""Columns that mark the last step of an episode, in files of costs of steps."""
+"""Columns that mark the last step of an episode, in files with a row per step."""
 KNOWN = ("cost", "reward", "episode", "rollout")
-"""Further columns of such files that are read."""
+"""Further columns that are read from files with a row per step."""
 ENVIRONMENT = re.compile(
     r"(n|num|idx|index|id)?v?(env|environment|worker|rank|process|proc|pid|actor|thread|runner"
     r"|instance|replica|copy|agent|sim|simulator)s?(n|no|nr|num|number|i|ix|idx|index|id|ids|name)?"
 )
-"""Names of columns, in small letters alone, that tell environments apart, whose steps may stand
-between each other; so do others whose values come in turns: see `_environments`."""
+"""Names, reduced to lower-case letters, of columns that identify environments, whose steps may be
+interleaved. `_environments` also finds other columns, by their values."""
 STEP = re.compile(r"(n|num|global|total|env|time)?(time)?steps?|t")
-"""Likewise, columns that count steps, which rise from row to row of an episode."""
+"""Names, likewise reduced, of columns that count steps, which increase within an episode."""
 RUN = re.compile(r"(seed|run|algo|algorithm|experiment)s?(n|no|nr|num|number|idx|index|id|name)?")
-"""Likewise, columns that tell runs apart: see `_runs`."""
+"""Names, likewise reduced, of columns that identify runs: see `_runs`."""
 WHOLE = re.compile(r"\d+(\.0*)?")
 
 
@@ -54,26 +54,26 @@ class Run:
     cost: str = "cost"
     """Name of the cost in the environment's info."""
     episodes: EpisodeRecords | None = None
-    """Whole episodes, where rollouts cut those of the records."""
+    """Records of whole episodes, if rollouts cut the episodes in `records`."""
     failure: str = ""
-    """Why its training failed on the way."""
+    """Why the training failed before its end; empty if it did not."""
 
     @property
     def incomplete(self) -> str:
-        """Why no mean counts it; empty for a complete run."""
+        """Why the run is left out of means; empty for a complete run."""
         return self.failure or ("" if len(self.records) else "no finished trajectory")
 
 
 def read(
     path: str | os.PathLike[str], threshold: float = 0.0, cost: str | None = None
 ) -> EpisodeRecords:
-    """Records of one training run, from a file or run folder as `python -m emcc` reads it.
+    """Read the records of one training run, from a file or run folder as `python -m emcc` does.
 
-    threshold: a step that costs more is a cost step.
-    cost: the name of one of a run's several costs; by default its first.
-    ValueError: several runs, one whose training failed on the way, no cost of that name, something
-    that cannot be understood, or a threshold for a file with a row for each episode, which holds
-    streaks instead of costs of steps.
+    threshold: a step whose cost exceeds it is a cost step.
+    cost: name of the cost, for a run with several; by default the first.
+    ValueError: several runs, a run whose training failed before its end, no cost of that name,
+    content that cannot be understood, or a threshold for a file with a row per episode, which has
+    streaks instead of the cost of each step.
     """
     runs = read_runs(Path(path), threshold)
     names = dict.fromkeys(run.cost for run in runs)
@@ -83,15 +83,15 @@ def read(
     runs = [run for run in runs if run.cost == (cost or runs[0].cost)]
     if len(runs) > 1:
         raise ValueError(f"{path}: one run is needed, but there are {len(runs)}")
-    if runs[0].failure:  # thirds of what there is are none of the training's
+    if runs[0].failure:  # thirds of the recorded steps are not thirds of the training
         raise ValueError(f"{path}: {runs[0].failure}")
     return runs[0].records
 
 
 def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
-    """All runs of a file of costs, of a run folder or archive, or of a folder that holds some.
+    """Read all runs of a file of costs, a run folder, an archive, or a folder that holds some.
 
-    ValueError: something that cannot be understood, by its path.
+    ValueError: content that cannot be understood, naming its path.
     """
     if path.is_dir() or path.suffix == ".zip":
         with named(path):
@@ -107,8 +107,8 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
             arrays = _one_name(dict(_arrays(path)), "cost", "costs")
             arrays = _one_name(arrays, "reward", "rewards")
             if others := sorted({*arrays} - {"costs", "lengths", "rewards", "rollouts"}):
-                known = "costs, and may have lengths, rewards and rollouts"
-                raise ValueError(f"has the arrays {', '.join(others)}: a file has {known}")
+                known = "must have costs, and may have lengths, rewards and rollouts"
+                raise ValueError(f"has unknown arrays, {', '.join(others)}: a file {known}")
             records, episodes = EpisodeRecords.from_costs(**arrays, threshold=threshold), None
         else:
             records, episodes = _read_csv(path, threshold)
@@ -116,7 +116,7 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
 
 
 def _run_folders(folder: Any) -> Iterator[Any]:
-    """Run folders in a folder or below, by name; folder: pathlib.Path or zipfile.Path."""
+    """Yield the run folders in a folder or below, by name; folder: pathlib.Path or zipfile.Path."""
     if (folder / "config.json").is_file():
         yield folder
         return
@@ -126,8 +126,8 @@ def _run_folders(folder: Any) -> Iterator[Any]:
 
 
 def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
-    """The runs of one training: a run for each cost of each task and seed in config.json, with its
-    arrays TASK/SEED/* in results.npz."""
+    """Yield the runs of one training: for each task and seed in config.json, whose arrays are
+    TASK/SEED/* in results.npz, a run for each cost."""
     with named(folder / "config.json"):
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         algorithm, steps = config["algorithm"], as_count(config["steps"], "steps")
@@ -145,34 +145,34 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
         for cost in costs:
             with named(results):
                 failure = str(arrays[prefix + "failure"]) if prefix + "failure" in arrays else ""
-                if failure and prefix + "length" not in arrays:  # it failed in its first epoch
+                if failure and prefix + "length" not in arrays:  # failed in the first epoch
                     records = CostRecorder(1).records
                 else:
                     records = records_of(arrays, prefix, cost, threshold)
             about = (task, algorithm, seed, cost)
-            total = max(steps, records.total_steps)  # whole epochs may take more than asked for
+            total = max(steps, records.total_steps)  # whole epochs may take more steps than asked
             yield Run(str(folder), records, total, *about, failure=failure)
 
 
 def _arrays(path: Any) -> Any:
-    """The arrays of a numpy file by their names; path: pathlib.Path or zipfile.Path."""
+    """Read the arrays of a NumPy file, by name; path: pathlib.Path or zipfile.Path."""
     content = read_arrays(path.read_bytes())
     return {"costs": content} if isinstance(content, np.ndarray) else content
 
 
 def _one_name(columns: Any, other: str, name: str) -> Any:
-    """The columns or arrays of a file, with its costs, or rewards, below one name: `cost` and
-    `costs`, `reward` and `rewards` are both taken."""
+    """Rename the column or array `other` to `name`: files may use the singular or the plural of
+    cost and reward. ValueError: both are present."""
     if other in columns and name in columns:
-        raise ValueError(f"has both {name} and {other}: one of them is needed")
+        raise ValueError(f"has both {name} and {other}: keep one of them")
     if other in columns:
         columns[name] = columns.pop(other)
     return columns
 
 
 def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeRecords | None]:
-    """A file of records, or with a row for each step, whose `cost` it has: the records, and those
-    of whole episodes where rollouts cut them."""
+    """Read a CSV file of records, or with the cost of a step in each row. Return the records, and
+    those of whole episodes if rollouts cut episodes."""
     columns = _one_name(_one_name(Columns(path), "costs", "cost"), "rewards", "reward")
     if "longest_streak" in columns:
         if threshold:
@@ -181,40 +181,40 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
     marks = [name for name in ENDS if name in columns]
     if "cost" not in columns or not (marks or "episode" in columns):
         raise ValueError(
-            f"has the columns {', '.join(columns)}. EMCC needs a row for each step, with "
-            f"cost and episode or {', '.join(ENDS)}; or for each episode, with length, cost and "
-            "longest_streak. Sums of episodes and means of epochs cannot give EMCC"
+            f"has the columns {', '.join(columns)}. EMCC needs a row for each step, with cost and "
+            f"one of episode, {', '.join(ENDS)}; or a row for each episode, with length, cost and "
+            "longest_streak. Sums over episodes and means over epochs cannot give EMCC"
         )
     costs = columns.numbers("cost", float)
     if not costs.size:
         raise ValueError("no steps")
     rewards = columns.numbers("reward", float) if "reward" in columns else None
-    # An episode ends where its number changes, and behind a marked step; a rollout may cut it.
+    # An episode ends where its number changes and after a marked step; a rollout may cut it.
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
     cuts, ends = (np.array([a != b for a, b in pairwise([*x, None])]) for x in (rollouts, episodes))
     marked = _marked(columns, marks)
     if name := _runs(columns, ends | marked):
-        raise ValueError(f"has several runs in the column {name}: write a file for each")
+        raise ValueError(f"has several runs in the column {name}: write a file for each run")
     if name := _environments(columns, cuts | ends | marked):
         raise ValueError(
             f"has several environments in the column {name}: write whole episodes in the order in "
-            "which they ended, each with a number of its own in the column episode, and no "
-            f"{name}"
+            "which they ended, with a different number for each in the column episode, and leave "
+            f"out the column {name}"
         )
     if name := _not_rising(columns, cuts | ends | marked):
         raise ValueError(
-            f"the column {name} does not rise within an episode: steps of several environments "
-            "stand between each other, or an end is not marked; write whole episodes in the order "
-            "in which they ended, each with a number of its own in the column episode"
+            f"the column {name} does not rise within an episode: steps of several environments are "
+            "interleaved, or the end of an episode is not marked; write whole episodes in the "
+            "order in which they ended, with a different number for each in the column episode"
         )
     if len(set(rollouts)) < cuts.sum():
-        raise ValueError("the steps of a rollout must follow one another")
+        raise ValueError("the steps of a rollout must be consecutive rows")
     if "episode" in columns and len({*zip(rollouts, episodes, strict=True)}) < (cuts | ends).sum():
-        raise ValueError("the steps of an episode must follow one another")
+        raise ValueError("the steps of an episode must be consecutive rows")
     ends |= marked
     last, whole = (np.flatnonzero(np.append(x[:-1], True)) for x in (cuts | ends, ends))
     if len(last) == costs.size > 1:
-        raise ValueError("every episode has one row: sums of episodes have no EMCC")
+        raise ValueError("every episode has one row: sums over episodes cannot give EMCC")
     ids = (np.cumsum(cuts) - cuts)[last] if "rollout" in columns else None
     lengths, of_episodes = (np.diff(rows, prepend=-1) for rows in (last, whole))
     records = EpisodeRecords.from_costs(costs, lengths, rewards, ids, threshold)
@@ -224,7 +224,7 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
 
 
 def _marked(columns: Columns, marks: list[str]) -> NDArray[np.bool_]:
-    """The rows that one of the columns marks as the last of an episode."""
+    """Return the mask of the rows that any of the columns `marks` marks as an episode's last."""
     marked = np.zeros(len(columns.lines), dtype=bool)
     for name in marks:
         words = [text.lower().removesuffix(".0") for text in columns[name]]
@@ -235,8 +235,8 @@ def _marked(columns: Columns, marks: list[str]) -> NDArray[np.bool_]:
 
 
 def _runs(columns: Columns, ends: NDArray[np.bool_]) -> str:
-    """The column that tells runs apart which stand one after another; "" where none does. A seed of
-    each episode's own is none. ends: of the rows, which are the last of an episode."""
+    """Return the column that identifies runs, which are blocks of rows; "" if there is none. A
+    column with one seed per episode does not count. ends: mask of the rows that end an episode."""
     for name, values in columns.items():
         if RUN.fullmatch(_letters(name)):
             blocks = 1 + sum(a != b for a, b in pairwise(values))
@@ -246,11 +246,11 @@ def _runs(columns: Columns, ends: NDArray[np.bool_]) -> str:
 
 
 def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
-    """The column that tells several environments apart; "" where none does.
+    """Return the column that identifies several environments; "" if there is none.
 
-    It has such a name; or its values come in turns, as steps of environments side by side do: 0, 1,
-    2, 0, 1, 2, ... A number of an episode's steps does so too, but begins again at each end. ends:
-    of the rows, which are the last of an episode or rollout.
+    Its name matches `ENVIRONMENT`, or its values repeat in turns, like those of interleaved steps:
+    0, 1, 2, 0, 1, 2, ... The number of a step in its episode also does so, but starts again after
+    each end. ends: mask of the rows that end an episode or a rollout.
     """
     for name, values in columns.items():
         count = len({*values})
@@ -258,7 +258,7 @@ def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
             continue
         if ENVIRONMENT.fullmatch(_letters(name)):
             return name
-        # Three turns at least: fewer may be chance.
+        # At least three turns: fewer may be chance.
         if 3 * count <= len(values) and len({*values[:count]}) == count:
             again = all(a == b for a, b in zip(values, values[count:], strict=False))
             if again and not ends[count - 1 :: count].all():
@@ -267,8 +267,8 @@ def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
 
 
 def _not_rising(columns: Columns, ends: NDArray[np.bool_]) -> str:
-    """The column that counts steps and does not rise within an episode, "" without; ends: as above.
-    Fractions are times, which may be rounded."""
+    """Return a column that counts steps but does not rise within an episode; "" if there is none.
+    Columns with fractions are times, which may be rounded. ends: as in `_environments`."""
     for name, values in columns.items():
         if STEP.fullmatch(_letters(name)) and all(map(WHOLE.fullmatch, values)):
             rising = np.diff(columns.numbers(name, float)) > 0
@@ -282,12 +282,12 @@ def _letters(name: str) -> str:
 
 
 def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
-    """Records of a Minari data set, each episode a rollout, in the data set's order.
+    """Return the records of a Minari data set, each episode a rollout, in the data set's order.
 
     dataset: a minari.MinariDataset recorded with `record_infos=True`, with "cost" in the infos.
-    Infos have an entry more than an episode has steps, that of the reset: its cost is dropped.
+    Infos have one entry more than the episode has steps: the cost of the reset is dropped.
     threshold: a step whose cost exceeds it is a cost step.
-    ValueError: no episode, or one whose costs are missing, of another length, negative or NaN.
+    ValueError: no episode, or an episode whose costs are missing, of wrong length, negative or NaN.
     """
     costs, rewards = [], []
     for episode in dataset.iterate_episodes():
@@ -299,7 +299,7 @@ def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
             )
         cost = as_array(episode.infos["cost"], f"costs of {name}").reshape(-1)
         if len(cost) != steps + 1:
-            needed = "needed are those of the reset and of every step"
+            needed = "a cost of the reset and of every step is needed"
             raise ValueError(f"{name} has {steps} steps and {len(cost)} costs; {needed}")
         costs.append(cost[1:])
         rewards.append(as_array(episode.rewards, f"rewards of {name}"))
@@ -309,18 +309,19 @@ def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
 
 
 def from_tensordict(batches: Any, rollout: str = "batch", threshold: float = 0.0) -> EpisodeRecords:
-    """Records of a TensorDict of TorchRL, or of those that a collector yields one after another.
+    """Return the records of a TorchRL TensorDict, or of the TensorDicts that a collector yields.
 
     batches: a TensorDict [time] or [..., time] with ("next", "cost"), ("next", "reward") and
-    ("next", "done"), or an iterable of them. The environment has to tell its cost:
-    `env.auto_register_info_dict()` for a GymEnv. Every leading index is an environment, stepped
-    together with the others; the dimension named "time" is the last, unless the names say another.
-    rollout: "batch" where the policy is updated after each batch: running episodes are cut there;
-    "episode" where each episode is a rollout: they go on in the next batch. Episodes that have not
-    ended with the last batch are trajectories as well.
+    ("next", "done"), or an iterable of them. The environment has to provide the cost: call
+    `env.auto_register_info_dict()` for a GymEnv. Every index of the other dimensions is an
+    environment, stepped together with the others; time is the dimension named "time", else the
+    last.
+    rollout: "batch" if the policy is updated after each batch: the batch's end cuts the running
+    episodes; "episode" if each episode is a rollout: running episodes continue in the next batch.
+    Episodes that have not ended with the last batch are trajectories as well.
     threshold: a step whose cost exceeds it is a cost step.
-    KeyError: no cost. ValueError: no batch, another rollout, batches of different environments, or
-    of trajectories that a collector has split and padded (`split_trajs=True`).
+    KeyError: no cost. ValueError: no batch, an unknown rollout, batches that differ in their number
+    of environments, or trajectories that a collector has split and padded (`split_trajs=True`).
     """
     if rollout not in ("batch", "episode"):
         raise ValueError(f'rollout must be "batch" or "episode", got {rollout!r}')
@@ -345,7 +346,7 @@ def from_tensordict(batches: Any, rollout: str = "batch", threshold: float = 0.0
 
 
 def _steps(batch: Any, name: str) -> NDArray[Any]:
-    """[time, environments] of ("next", name)."""
+    """Return ("next", name) as an array [time, environments]."""
     values = batch.get(("next", name), None)
     if values is None:
         raise KeyError(
@@ -357,5 +358,5 @@ def _steps(batch: Any, name: str) -> NDArray[Any]:
         raise ValueError("the batch must have a time dimension, got batch_size []")
     names = list(getattr(batch, "names", None) or [])
     time = names.index("time") if "time" in names else len(shape) - 1
-    array = as_array(values, name).reshape(shape)  # drops the last axis, of one value
+    array = as_array(values, name).reshape(shape)  # drops the last axis, which has size 1
     return np.moveaxis(array, time, 0).reshape(shape[time], -1)

@@ -1,5 +1,5 @@
-"""StreakCost and LongestStreak for gymnasium: streaks as costs, for any environment and algorithm
-that limits cost."""
+"""StreakCost and LongestStreak: Gymnasium wrappers that express streaks as costs, so that any
+algorithm that limits cost limits streaks."""
 
 from dataclasses import dataclass
 from typing import Any, overload
@@ -26,18 +26,18 @@ def StreakCost(
     """Wrap an Env or VectorEnv so that long streaks of cost steps cost more than short ones.
 
     info["cost"] becomes the cost times `1 + weight (k - 1)` at the k-th consecutive cost step, so
-    that an algorithm that limits cost limits streaks as well; info["plain_cost"] is the cost as it
-    was. What an agent is judged by is the plain cost: `RecordCosts` and `EMCCCallback` record it,
-    inside or outside of this wrapper.
+    that an algorithm that limits cost limits streaks as well; info["plain_cost"] is the original
+    cost. Agents are judged by the plain cost: `RecordCosts` and `EMCCCallback` record it, inside or
+    outside of this wrapper.
     observe: append k / scale, which is 0 after a safe step, to the observation, so that the task
-    stays Markov: without it the cost depends on what the agent cannot see. The observation space
-    must then be a flat Box. scale: cost steps that make the observation 1.
+    stays Markov: otherwise the cost depends on what the agent cannot see. The observation space
+    must then be a flat Box. scale: number of consecutive cost steps that is observed as 1.
     threshold: a step whose cost exceeds it is a cost step.
-    In a vector environment info["cost"] and info["plain_cost"] are [num_envs] arrays of the step
-    just taken, in every autoreset mode, as rewards are; so are those in info["final_info"].
-    TypeError: no gymnasium environment, or no flat Box of floats to append to. ValueError: weight
-    below 0, scale not above 0, a bad threshold, a vector environment without an autoreset mode, a
-    cost that is negative or not finite. KeyError: a step without a cost. RuntimeError: a step after
+    In a vector environment, info["cost"] and info["plain_cost"], also in info["final_info"], are
+    [num_envs] arrays that describe the step just taken, like the rewards, in every autoreset mode.
+    TypeError: not a Gymnasium environment, or no flat Box of floats to append to. ValueError:
+    weight below 0, scale not above 0, a bad threshold, a vector environment without an autoreset
+    mode, a negative or non-finite cost. KeyError: a step without a cost. RuntimeError: a step after
     an episode's end without a reset.
     """
     weight, threshold = as_number(weight, "weight", 0), as_number(threshold, "threshold", 0)
@@ -60,22 +60,23 @@ def LongestStreak(
 ) -> "LongestStreakEnv | LongestStreakVectorEnv":
     """Wrap an Env or VectorEnv so that the longest streak of an episode is an additive cost.
 
-    info["longest_streak"] is m, the steps of the episode's longest streak so far, and
-    info["record_cost"] is 1 in a step that makes it longer than before and than `above`, 0 in any
-    other. With L the episode's longest streak, the record costs add up to `max(L - above, 0)`, and
-    so to L with `above` 0: an algorithm that limits the cost of an episode limits L, in steps. The
-    mean of the worst share α of episodes, CVaR_α(L), is the least `above + E[sum] / α` of all
-    `above`; the (1 - α) quantile of L attains it (Rockafellar & Uryasev 2000, theorem 1).
-    observe: append k / scale and m / scale to the observation, k being the steps of the streak so
-    far, 0 after a safe step: record costs depend on both. The observation space must then be a flat
-    Box. scale: cost steps that make either number 1.
-    cost: key of info. That of any other than "cost" has info["longest_streak_NAME"] and
-    info["record_NAME"]: for several costs there is a wrapper around a wrapper.
+    info["longest_streak"] is m, the length of the episode's longest streak so far, and
+    info["record_cost"] is 1 in a step that makes the running streak longer than m and than `above`,
+    0 in any other step. The record costs of an episode add up to `max(L - above, 0)`, where L is
+    the episode's longest streak, and so to L if `above` is 0: an algorithm that limits the cost of
+    an episode limits L, in steps. CVaR_α(L), the mean over the worst share α of episodes, is the
+    minimum of `above + E[sum] / α` over all `above`, attained at the (1 - α) quantile of L
+    (Rockafellar & Uryasev 2000, theorem 1).
+    observe: append k / scale and m / scale to the observation, where k is the length of the running
+    streak, 0 after a safe step: record costs depend on both. The observation space must then be a
+    flat Box. scale: value of k or m that is observed as 1.
+    cost: key of the cost in info. Any NAME but "cost" gives info["longest_streak_NAME"] and
+    info["record_NAME"]: for several costs, nest the wrappers.
     threshold: a step whose cost exceeds it is a cost step.
-    In a vector environment both are [num_envs] arrays of the step just taken, in every autoreset
-    mode, as rewards are; so are those in info["final_info"].
-    TypeError: no gymnasium environment, or no flat Box of floats to append to. ValueError: above no
-    whole number or below 0; otherwise as `StreakCost`, as are KeyError and RuntimeError.
+    In a vector environment both entries, also in info["final_info"], are [num_envs] arrays that
+    describe the step just taken, like the rewards, in every autoreset mode.
+    TypeError: not a Gymnasium environment, or no flat Box of floats to append to. ValueError: above
+    is no whole number or below 0; otherwise as in `StreakCost`, like KeyError and RuntimeError.
     """
     steps, threshold = int(as_integers(above, "above")), as_number(threshold, "threshold", 0)
     if not isinstance(cost, str):
@@ -92,7 +93,7 @@ def _scale(scale: float) -> float:
 
 @dataclass(frozen=True)
 class Weights(Augmentation):
-    """The state is k, the steps of the streak so far."""
+    """The augmentation of `StreakCost`; the state is k, the length of the running streak."""
 
     weight: float
     scale: float | None
@@ -101,11 +102,11 @@ class Weights(Augmentation):
 
     @property
     def bounds(self) -> Bounds:
-        """k / scale, unless there is none."""
+        """Bounds of k / scale; () if scale is None."""
         return () if self.scale is None else ((0.0, np.inf),)
 
     def after(self, state: Numbers, cost: Numbers) -> tuple[Numbers, dict[str, Numbers]]:
-        """The weighted cost beside the plain one."""
+        """Return the next state, and the weighted and the plain cost."""
         streak = np.where(exceed(cost, self.threshold), state[:, 0] + 1, 0)
         return streak[:, None], {"cost": weighted(cost, streak, self.weight), "plain_cost": cost}
 
@@ -116,7 +117,8 @@ class Weights(Augmentation):
 
 @dataclass(frozen=True)
 class Longest(Augmentation):
-    """The state is k and m, the steps of the streak and of the longest streak so far."""
+    """The augmentation of `LongestStreak`; the state is k and m, the lengths of the running and of
+    the longest streak."""
 
     above: int = 0
     cost: str = "cost"
@@ -126,11 +128,11 @@ class Longest(Augmentation):
 
     @property
     def bounds(self) -> Bounds:
-        """k / scale and m / scale, unless there is no scale."""
+        """Bounds of k / scale and m / scale; () if scale is None."""
         return () if self.scale is None else ((0.0, np.inf), (0.0, np.inf))
 
     def after(self, state: Numbers, cost: Numbers) -> tuple[Numbers, dict[str, Numbers]]:
-        """The longest streak and the record cost."""
+        """Return the next state, and the longest streak and the record cost."""
         before = state[:, 1]
         streak = np.where(exceed(cost, self.threshold), state[:, 0] + 1, 0)
         longest = np.maximum(before, streak)
@@ -145,7 +147,7 @@ class Longest(Augmentation):
 
 
 def record_name(cost: str) -> str:
-    """Key of a cost's record cost in the info."""
+    """Return the key of a cost's record cost in the info."""
     return f"record_{cost}"
 
 

@@ -1,4 +1,4 @@
-"""From the costs of single steps to the longest streak, and to the MCC of a rollout.
+"""Longest streaks, and the MCC of a rollout, from the costs of steps.
 
 A cost step is a step whose cost exceeds the threshold; a streak is a run of consecutive cost steps.
 """
@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_integers, as_number, as_steps, as_vector, exceed
 
-_BLOCK = 1 << 18  # steps looked at together: their temporaries fit in a processor's cache
+_BLOCK = 1 << 18  # steps per block, so that the temporary arrays fit in the CPU's cache
 
 
 def longest_streak(costs: ArrayLike, threshold: float = 0.0) -> int:
-    """Length in steps of the longest streak of cost steps in one trajectory.
+    """Return the length in steps of the longest streak of cost steps in one trajectory.
 
     costs: [T] cost of each step, finite and >= 0, not necessarily 0/1.
     Source: d_tau^max in equation (mcc).
@@ -28,7 +28,7 @@ def longest_streak(costs: ArrayLike, threshold: float = 0.0) -> int:
 def longest_streaks(
     costs: ArrayLike, lengths: ArrayLike, threshold: float = 0.0
 ) -> NDArray[np.int64]:
-    """Length in steps of the longest streak of each of many trajectories.
+    """Return the length in steps of the longest streak of each of many trajectories.
 
     costs: [sum of lengths] the trajectories one after another; lengths: [E] steps -> int64 [E].
     A streak never crosses from one trajectory into the next.
@@ -43,10 +43,10 @@ def longest_streaks(
 def count_streaks(
     costs: ArrayLike, lengths: ArrayLike, threshold: float = 0.0
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cost steps and streaks of each of many trajectories.
+    """Return the numbers of cost steps and of streaks of each of many trajectories.
 
     costs: [sum of lengths] the trajectories one after another; lengths: [E] steps -> two int64 [E].
-    Cost steps divided by streaks is the mean length of a streak.
+    The first divided by the second is the mean length of a streak.
     ValueError: as in `longest_streaks`.
     """
     counts = [
@@ -63,20 +63,20 @@ def record(
     above: int = 0,
     threshold: float = 0.0,
 ) -> NDArray[np.float64]:
-    """The record costs of steps: 1 where a streak becomes longer than any before it in its
-    trajectory, and than `above`; 0 elsewhere.
+    """Return the record costs: 1 at steps where a streak becomes longer than `above` and than any
+    earlier streak of the trajectory; 0 elsewhere.
 
-    costs: [T] of one trajectory, or with lengths [E] of many, one after another -> [T]. Those of a
-    trajectory with the longest streak L add up to `max(L - above, 0)`: L is an additive cost.
-    `LongestStreak` gives them step by step.
-    ValueError: as in `longest_streaks`, or above no whole number or below 0.
+    costs: [T] of one trajectory, or with lengths [E] of many, one after another -> [T]. The record
+    costs of a trajectory with longest streak L add up to `max(L - above, 0)`: this makes L an
+    additive cost. `LongestStreak` computes the same step by step.
+    ValueError: as in `longest_streaks`, or above is no whole number or below 0.
     """
     above = int(as_integers(above, "above"))
     if lengths is None:
         lengths = [as_vector(costs, "costs", low=0).size]
     found = []
     for streak, begins in _blocks(costs, lengths, threshold):
-        # Each trajectory's streaks above all of those before it: the highest so far is its own.
+        # Lift each trajectory above all earlier ones: the running maximum is then its own.
         lifted = np.zeros_like(streak)
         lifted[begins] = streak.size + 1
         lifted = np.cumsum(lifted)
@@ -89,8 +89,8 @@ def record(
 def _blocks(
     costs: ArrayLike, lengths: ArrayLike, threshold: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Blocks of whole trajectories: how many steps the streak has at each step, 0 at a safe one;
-    and the steps at which trajectories begin."""
+    """Yield blocks of whole trajectories: at each step the length of the running streak, 0 at a
+    safe step; and the steps at which trajectories begin."""
     costs = as_vector(costs, "costs", low=0)
     lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)
     if (total := int(lengths.sum())) != costs.size:
@@ -102,7 +102,7 @@ def _blocks(
         stop = int(stops[after - 1])
         unsafe, begins = exceed(costs[start:stop], threshold), stops[first:after] - start
         begins -= lengths[first:after]
-        # Steps up to the latest safe one, or up to the trajectory's begin.
+        # The running maximum of `safe` counts the steps to the last safe one, or to the start.
         count = np.arange(1, unsafe.size + 1)
         safe = np.where(unsafe, 0, count)
         safe[begins] = begins + ~unsafe[begins]
@@ -111,11 +111,11 @@ def _blocks(
 
 
 def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:
-    """Maximum consecutive cost steps of one rollout, as a share of the trajectory's length.
+    """Return the maximum consecutive cost steps of a rollout, as a share of trajectory length.
 
     trajectories: the rollout's trajectories, each [T_i] costs of steps -> float in [0, 1].
-    A rollout is what is collected between two policy updates. If it cuts an episode, the piece is
-    a trajectory of its own: it has its own length, and its streak ends at the cut.
+    A rollout is what is collected between two policy updates. If it cuts an episode, each piece is
+    a trajectory with its own length, and a streak ends at the cut.
     Equation (mcc): MCC_D = max over tau in D of d_tau^max / l_tau.
     ValueError: a rollout without trajectories, or a trajectory as in `longest_streak`.
     """
@@ -124,12 +124,12 @@ def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:
 
 
 def streak_bounds(unsafe_steps: ArrayLike, length: ArrayLike) -> tuple[Any, Any]:
-    """Least and greatest longest streak that a trajectory with so many cost steps can have.
+    """Return bounds (low, high) of the longest streak of a trajectory with unsafe_steps cost steps.
 
     unsafe_steps: S, number of cost steps (not their cost); length: T, steps; numbers or arrays.
     low = ceil(S / (T - S + 1)): the T - S safe steps leave T - S + 1 gaps; high = S.
-    These bound the longest streak. They are not EMCC: sums of an episode cannot give it, since
-    it depends on the order of the steps.
+    They bound the longest streak, but do not give EMCC: that depends on the order of the steps,
+    which sums over an episode do not have.
     ValueError: not whole numbers, or not 0 <= S <= T with T >= 1.
     """
     unsafe = as_integers(unsafe_steps, "unsafe_steps")
@@ -142,11 +142,11 @@ def streak_bounds(unsafe_steps: ArrayLike, length: ArrayLike) -> tuple[Any, Any]
 
 
 def weighted(costs: ArrayLike, streak: ArrayLike, weight: float) -> NDArray[np.float64]:
-    """Costs by their place in a streak: the k-th step of a streak costs `1 + weight (k - 1)` times.
+    """Return costs weighted by `1 + weight (k - 1)` at the k-th step of a streak.
 
-    costs, streak: of any one shape; streak: k at a cost step, 0 elsewhere. A streak of n steps that
-    cost 1 each then costs `n + weight n (n - 1) / 2`: one of 8 with weight 1 costs 36, eight of 1
-    cost 8.
+    costs, streak: arrays of the same shape; streak: k at a cost step, 0 elsewhere. A streak of n
+    steps that cost 1 each then costs `n + weight n (n - 1) / 2`: with weight 1, one streak of 8
+    steps costs 36, and eight streaks of 1 step cost 8.
     """
     factor = 1.0 + weight * np.maximum(np.asarray(streak) - 1, 0)
     return np.asarray(costs, dtype=np.float64) * factor

@@ -1,4 +1,4 @@
-"""Tables of text: CSV files read into columns; cells printed as text, Markdown, CSV or LaTeX."""
+"""Tables: CSV files read into columns; cells printed as text, Markdown, CSV or LaTeX."""
 
 import csv
 import io
@@ -15,11 +15,11 @@ FORMATS = ("text", "md", "csv", "latex")
 
 
 class Columns(dict[str, list[str]]):
-    """The columns of a CSV file by their names, still as text; blanks around cells and lines that
-    begin with # are dropped.
+    """The columns of a CSV file by name, as text; blanks around cells and lines that begin with #
+    are dropped.
 
-    ValueError: not a text file, no header, two columns of one name, or a line with another number
-    of fields than the header.
+    ValueError: not a text file, no header, two columns with the same name, or a line whose number
+    of fields differs from the header's.
     """
 
     def __init__(self, path: Path) -> None:
@@ -27,8 +27,8 @@ class Columns(dict[str, list[str]]):
             text = path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError as error:
             raise ValueError(
-                f"no text at byte {error.start}: a file of costs is a .csv in UTF-8, a .npy or a "
-                ".npz, by its name"
+                f"no text at byte {error.start}: a file of costs must be a .csv in UTF-8, a .npy "
+                "or a .npz, by its name"
             ) from None
         try:
             reader = csv.reader(io.StringIO(text, newline=""))
@@ -49,7 +49,7 @@ class Columns(dict[str, list[str]]):
         self.complete = text.endswith("\n")
 
     def numbers(self, name: str, kind: type[int] | type[float]) -> NDArray[Any]:
-        """One column as an array. ValueError: a cell that is no such number, by its line."""
+        """Return a column as an array. ValueError naming the line: a cell of another kind."""
         values, read = [], _whole if kind is int else float
         for line, text in zip(self.lines, self[name], strict=True):
             try:
@@ -57,11 +57,11 @@ class Columns(dict[str, list[str]]):
             except ValueError as error:
                 number = "a whole number" if kind is int else "a number"
                 raise ValueError(f"line {line}, column {name}: {text!r} is not {number}") from error
-        return np.array(values)  # with objects for integers beyond int64, which nothing takes
+        return np.array(values)  # of dtype object for integers beyond int64; callers reject these
 
 
 def _whole(text: str) -> int:
-    """A whole number, also as 10.0, which pandas makes of it beside a missing one."""
+    """Read a whole number; 10.0 is accepted, as pandas writes integers in a column with a NaN."""
     try:
         return int(text)
     except ValueError:
@@ -79,8 +79,8 @@ class Table:
     rows: list[list[str]]
 
     def render(self, form: str) -> str:
-        """Lines of aligned text, Markdown, CSV below a comment that begins with '#', or LaTeX's
-        tabular with the rules of booktabs, below one that begins with '%'."""
+        """Return aligned text, Markdown, CSV with the caption as a '#' comment above, or a LaTeX
+        tabular with booktabs rules and the caption as a '%' comment above."""
         if form == "csv":
             body = io.StringIO()
             csv.writer(body, lineterminator="\n").writerows([self.head, *self.rows])
@@ -105,7 +105,7 @@ class Table:
 
 
 def tabular(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Cells of LaTeX as a tabular with the rules of booktabs, below the caption as a comment."""
+    """Return LaTeX cells as a tabular with booktabs rules, below the caption as a comment."""
     first, *lines = (" & ".join(row) + r" \\" for row in (head, *rows))
     top = (
         rf"\begin{{tabular}}{{@{{}}l{'r' * (len(head) - 1)}@{{}}}}",
@@ -122,4 +122,4 @@ LATEX = str.maketrans(
     | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     | {"α": r"$\alpha$", "≤": r"$\leq$", MISSING: "--"}
 )
-"""Characters that are written otherwise in LaTeX."""
+"""Characters that LaTeX needs escaped."""

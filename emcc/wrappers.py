@@ -1,4 +1,4 @@
-"""RecordCosts for gymnasium: the wrappers of single and of vector environments."""
+"""RecordCosts for Gymnasium: the wrappers of single and of vector environments."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, overload
@@ -38,35 +38,35 @@ def RecordCosts(
     """Wrap an Env or VectorEnv whose info has costs, and record its trajectories.
 
     The wrapper is a gymnasium.Wrapper or a gymnasium.vector.VectorWrapper, with
-      .records          EpisodeRecords of the trajectories finished so far, by the first cost
-      .records_by_cost  the same by each cost, by its name
+      .records          EpisodeRecords of the finished trajectories, with the first cost
+      .records_by_cost  the same records for each cost, by name
       .end_rollout()    cut the running episodes and begin the next rollout (`CostRecorder`)
     rollout, threshold: as in `CostRecorder`. costs: keys of info, such as ("cost", "cost_2").
 
-    A vector environment's autoreset step is no step; its mode is read from
+    A vector environment's autoreset step does not count as a step; the autoreset mode is read from
     env.metadata["autoreset_mode"]. A reset in the middle of an episode keeps the steps so far as a
-    trajectory. Sub-environments must give the cost as a float: gymnasium's vector environments make
-    an array of the type of the first cost they see, which would round others.
-    TypeError: no gymnasium environment, or such an array of whole numbers or bools. ValueError: a
-    vector environment without an autoreset mode, a step of other than five values, a
-    sub-environment that gives no cost, a cost that is negative or not finite, costs that are not
-    different names. KeyError: no such cost in info. RuntimeError: a step
-    after an episode's end without a reset.
+    trajectory. Sub-environments must return the cost as a float: Gymnasium's vector environments
+    make an array with the type of the first cost, which would round others.
+    TypeError: not a Gymnasium environment, or an array of whole numbers or bools made so.
+    ValueError: a vector environment without an autoreset mode, a step that does not return five
+    values, a sub-environment without a cost, a negative or non-finite cost, costs that are not
+    different names. KeyError: no such cost in info. RuntimeError: a step after an episode's end
+    without a reset.
     """
     return of_kind(env, RecordEnvCosts, RecordVectorCosts)(env, rollout, threshold, costs)
 
 
 def of_kind(env: Any, single: Any, vector: Any) -> Any:
-    """The wrapper for this kind of environment."""
+    """Return `single` if env is an Env, `vector` if it is a VectorEnv. TypeError: neither."""
     if not isinstance(env, (gym.Env, VectorEnv)):
         raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
     return vector if isinstance(env, VectorEnv) else single
 
 
 def resets_itself(env: gym.Env) -> bool:
-    """Whether the step after an episode's end is the resetting step of gymnasium's Autoreset.
+    """Return True if Gymnasium's Autoreset resets in the step after an episode's end.
 
-    RuntimeError where nothing resets: the step belongs to no episode.
+    RuntimeError: nothing resets, so the step belongs to no episode.
     """
     wrapped = env
     while isinstance(wrapped, gym.Wrapper):
@@ -80,18 +80,18 @@ def resets_itself(env: gym.Env) -> bool:
 
 
 def five(env: Any, values: tuple[Any, ...]) -> Any:
-    """The values of a step. ValueError for another number, such as Safety-Gymnasium's six."""
+    """Return a step's five values. ValueError: another number, such as Safety-Gymnasium's six."""
     if len(values) != 5:
         raise ValueError(
             f"step of {env} must return gymnasium's five values, got {len(values)}; for the six of "
-            "Safety-Gymnasium there are circle2d_mj.FromSafetyGymnasium and, of vector "
-            "environments, emcc.CostRecorder"
+            "Safety-Gymnasium use circle2d_mj.FromSafetyGymnasium or, for vector environments, "
+            "emcc.CostRecorder"
         )
     return values
 
 
 class _Recorded:
-    """The recorders that both wrappers have, one for each cost."""
+    """Mixin of both wrappers that holds a recorder for each cost."""
 
     recorders: dict[str, CostRecorder]
 
@@ -106,12 +106,12 @@ class _Recorded:
 
     @property
     def records(self) -> EpisodeRecords:
-        """Trajectories finished so far, by the first cost."""
+        """Finished trajectories, with the first cost."""
         return self.recorder.records
 
     @property
     def records_by_cost(self) -> dict[str, EpisodeRecords]:
-        """Trajectories finished so far, by each cost."""
+        """Finished trajectories with each cost, by its name."""
         return {name: recorder.records for name, recorder in self.recorders.items()}
 
     def end_rollout(self) -> None:
@@ -138,7 +138,7 @@ class RecordEnvCosts(
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset the environment; the steps of an episode that was running are kept."""
+        """Reset the environment; the steps of a running episode are kept."""
         result = super().reset(seed=seed, options=options)
         self._cut()
         self._finished = False
@@ -157,15 +157,15 @@ class RecordEnvCosts(
 
 
 class VectorSteps(VectorWrapper):
-    """Knows which environments take a step, in every autoreset mode.
+    """Tracks which environments take a step, in every autoreset mode.
 
-    Subclasses say what `reset` and `step` return then. where, active, done: masks [num_envs] of the
-    environments that were reset, that took a step, and whose episode ended with it.
+    Subclasses decide what `reset` and `step` return. where, active, done: masks [num_envs] of the
+    environments that were reset, that took a step, and whose episode ended with this step.
     """
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
-        # In gymnasium before 1.0 there was one mode.
+        # Gymnasium before 1.0 has a single mode.
         mode = (env.metadata or {}).get("autoreset_mode", "SameStep" if OLD else None)
         self._mode = getattr(mode, "value", mode)
         if self._mode not in ("NextStep", "SameStep", "Disabled"):
@@ -173,7 +173,7 @@ class VectorSteps(VectorWrapper):
                 f"{env}: metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode, "
                 f"got {mode!r}; without it, steps cannot be told from resets"
             )
-        self._finished = np.zeros(env.num_envs, dtype=bool)  # and not reset yet
+        self._finished = np.zeros(env.num_envs, dtype=bool)  # episode ended, not reset yet
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
@@ -208,7 +208,7 @@ class VectorSteps(VectorWrapper):
 
 
 class RecordVectorCosts(_Recorded, VectorSteps):
-    """`RecordCosts` of a VectorEnv; the steps of episodes that a reset ends are kept."""
+    """`RecordCosts` of a VectorEnv; if a reset ends an episode, its steps are kept."""
 
     def __init__(self, env: VectorEnv, rollout: int | str, threshold: float, costs: Any) -> None:
         super().__init__(env)
@@ -221,7 +221,7 @@ class RecordVectorCosts(_Recorded, VectorSteps):
     def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
         _, rewards, _, _, infos = result
         rewards = as_array(rewards, "reward")
-        if rewards.size == self.num_envs:  # an array of one for each
+        if rewards.size == self.num_envs:  # possibly of shape [num_envs, 1]
             rewards = rewards.reshape(self.num_envs)
         for name, recorder in self.recorders.items() if active.any() else ():
             recorder.step(costs_of(infos, active, done, name), rewards, done, active)

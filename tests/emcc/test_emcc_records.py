@@ -116,11 +116,11 @@ def test_costs_of_each_trajectory_or_joined_are_the_same(costs):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (([0, 1, 1],), "costs must hold an array of each trajectory, or come with lengths"),
+        (([0, 1, 1],), "costs must hold one array for each trajectory, or come with lengths"),
         (([[0, 1], []],), "costs of trajectory 1 must have at least one"),
         (([[0, 1], [[1]]],), r"costs of trajectory 1 must be 1-D, got shape \(1, 1\)"),
-        (([[0, 1], [1, 0]], [2, 1]), "lengths must be those of the trajectories of costs"),
-        (([[0, 1], [1]], None, [[1], [2, 3]]), "lengths must be .* of the trajectories of rewards"),
+        (([[0, 1], [1, 0]], [2, 1]), "lengths must equal the lengths of the arrays in costs"),
+        (([[0, 1], [1]], None, [[1], [2, 3]]), "lengths must equal .* of the arrays in rewards"),
         (([[0, 1], [1]], None, [1, 2]), r"3 costs, but rewards have shape \(2,\)"),
     ],
 )

@@ -120,13 +120,13 @@ TWO_IN_TURNS = "0,0,1\n1,0,0\n0,0,1\n1,0,0\n0,1,1\n1,1,0\n"
 """Costs 1 1 1 of one environment and 0 0 0 of another."""
 BAD_FILES = {
     "a row per episode": ("cost,done\n3,1\n2,1\n", "every episode has one row"),
-    "sums": ("cost,length\n3,10\n", "Sums of episodes and means of epochs cannot give EMCC"),
-    "no episodes": ("cost\n0\n1\n", "cost and episode or done"),
+    "sums": ("cost,length\n3,10\n", "Sums over episodes and means over epochs cannot give EMCC"),
+    "no episodes": ("cost\n0\n1\n", "cost and one of episode, done"),
     "no steps": ("cost,done\n", "no steps"),
     "a flag of 2": ("cost,done\n0,0\n0,2\n", "column done: must be 0 or 1, got '2'"),
     "a word": ("cost,done\n0,0\n\nhigh,1\n", "line 4, column cost: 'high' is not a number"),
     "a negative cost": ("cost,done\n0,0\n-1,1\n", "costs must be finite and >= 0, got -1"),
-    "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "an episode must follow one another"),
+    "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "an episode must be consecutive rows"),
     "two at once": ("env,episode,cost\n0,0,1\n1,0,1\n0,0,0\n1,0,1\n", "several environments"),
     "two by marks": ("env_id,done,cost\n0,0,1\n1,0,1\n0,1,0\n1,1,1\n", "the column env_id"),
     **{
@@ -154,12 +154,12 @@ BAD_FILES = {
     ),
     "an end at a time limit that is not marked": (
         "step,terminated,cost\n0,0,1\n1,0,1\n0,0,1\n1,0,0\n2,1,0\n",
-        "the column step does not rise within an episode: .* an end is not marked",
+        "the column step does not rise within an episode: .* the end of an episode is not marked",
     ),
     **{
         f"two by {name}": (
             f"{name},done,cost\na,0,1\na,1,1\na,0,1\na,1,0\nb,0,0\nb,1,0\n",
-            f"several runs in the column {name}: write a file for each",
+            f"several runs in the column {name}: write a file for each run",
         )
         for name in ("seed", "run_id", "Algorithm", "algo")
     },
@@ -168,7 +168,7 @@ BAD_FILES = {
         "several runs in the column seed",
     ),
     "two in turns": ("k,done,cost\n" + TWO_IN_TURNS, "the column k"),
-    "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
+    "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must be consecutive rows"),
     "monitor.csv": ('#{"t": 1, "env": 2}\nr,l,t\n1,2,3\n', "has the columns r, l, t. EMCC needs"),
     "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
     "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
@@ -395,7 +395,7 @@ def test_cost_and_costs_are_one_name(tmp_path):
 def test_a_binary_file_is_told_from_text(tmp_path):
     (tmp_path / "log.csv").write_bytes(b"cost,done\n\xff\xfe\x00")
     with pytest.raises(
-        ValueError, match=r"log\.csv: no text at byte 10: a file of costs is a \.csv"
+        ValueError, match=r"log\.csv: no text at byte 10: a file of costs must be a \.csv"
     ):
         emcc.read(tmp_path / "log.csv")
     (tmp_path / "config.json").write_bytes(b"{\xff")

@@ -185,7 +185,7 @@ def test_costs_that_gymnasium_may_have_rounded_are_refused():
     whole, half = [[0, 0, 0]], [[0.5, 0.5, 0.5]]  # together: 0 and 0
     envs = RecordCosts(SyncVectorEnv([partial(Scripted, script) for script in (whole, half)]))
     envs.reset()
-    with pytest.raises(TypeError, match=r"came as int64: .* let every one give a float"):
+    with pytest.raises(TypeError, match=r"came as int64: .* return every cost as a float"):
         envs.step([0, 0])
 
 

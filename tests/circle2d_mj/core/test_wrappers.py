@@ -177,7 +177,7 @@ class Whole(Rare):
         ([Silent], KeyError, "info has no 'cost'"),
         ([Rare, Silent], KeyError, "sub-environment 1 gave no 'cost'"),
         # Gymnasium makes 0 and 0.25 to 0 and 0.
-        ([Whole, Rare], TypeError, r"came as int64: .* let every one give a float"),
+        ([Whole, Rare], TypeError, r"came as int64: .* return every cost as a float"),
     ],
 )
 def test_six_values_without_a_cost_to_trust(kinds, error, message):
