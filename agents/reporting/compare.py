@@ -50,7 +50,7 @@ METHOD = (
     "probability that a run of B is better than one of A, equal ones half [95 % bootstrap interval]"
 )
 Tested = Mapping[tuple[str, str], Mapping[str, Difference]]
-"""The differences of pairs, by task and name."""
+"""Differences between the groups of each pair, by task and pair name."""
 
 
 class Sides(NamedTuple):
@@ -61,14 +61,16 @@ class Sides(NamedTuple):
 
     @property
     def named(self) -> list[tuple[str, Group]]:
-        """Every group with its name."""
+        """All groups of both sides, each with its name."""
         sides = zip(("A", "B"), self, strict=True)
         return [(f"{k}: {g.name}", g) for k, groups in sides for g in groups]
 
     @property
     def pairs(self) -> dict[str, Pair]:
-        """Each group of B with the one of A of its algorithm and settings, or with all, of the same
-        cost, by name."""
+        """Pairs of groups to compare, by name.
+
+        A group of B is paired with the group of A that has the same algorithm, settings and cost,
+        or, if there is none, with every group of A of the same cost."""
         pairs: list[Pair] = []
         for b in self.b:
             of_cost = [a for a in self.a if a.cost == b.cost]
@@ -80,12 +82,11 @@ class Sides(NamedTuple):
 def compare(
     a: Path, b: Path, out: Path | None = None, asked: Sequence[str] | None = None
 ) -> list[Table]:
-    """The tables of two folders of runs with the differences B - A, task by task, and over tasks.
+    """Return the tables of two folders of runs with the differences B - A, by task and over tasks.
 
-    A group of B stands against the one of A with the same algorithm and settings, or where there is
-    none against every group of A on the task, of the same cost. The last table has one test over
-    all tasks of each pair that is there on two tasks or more. asked: names of the measures that are
-    tested, by default all. Otherwise see `agents.compare`.
+    The pairs are those of `Sides.pairs`. The last table tests, over all tasks together, each pair
+    that occurs on two tasks or more. asked: names of the measures to test, by default all.
+    Otherwise see `agents.compare`.
     """
     for name in () if asked is None else asked:
         if name not in (known := [m.name for m in measures()]):
@@ -137,7 +138,7 @@ def compare(
 def _by_task(
     a: Path, b: Path, sides: Sequence[Sequence[Group]], notes: list[str]
 ) -> dict[str, Sides]:
-    """The runs of the tasks that both sides have; the others go into the notes."""
+    """Return the runs on the tasks that both sides have; add notes on other tasks."""
     complete = [[group for group in side if group.runs] for side in sides]
     tasks = [list(dict.fromkeys(group.task for group in groups)) for groups in complete]
     common = [task for task in tasks[0] if task in tasks[1]]
@@ -156,9 +157,9 @@ def _by_task(
 
 
 def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[str]) -> Table:
-    """Means of both sides, the differences, then every run.
+    """Return the table of a task: means of both sides, the differences, then every run.
 
-    tested: with corrected p values; tests: their number.
+    tested: the differences, with corrected p values; tests: the number of p values.
     """
     rows = [mean_row(group, name) for name, group in sides.named]
     beside = [Number(None)] * 2
@@ -183,21 +184,23 @@ def _name(a: str, b: str) -> str:
 
 
 def _too_few(task: str, sides: Sides, number_of_tests: int) -> list[str]:
-    """Notes on runs too few for an interval or a test."""
+    """Return notes on sides with too few runs for an interval or a significant test."""
     sizes = {(len(a.runs), len(b.runs)) for a, b in sides.pairs.values()}
     notes = []
     for a, b in sorted(sizes):
         least = min(1.0, number_of_tests * _lowest_p(a, b))
         if min(a, b) > 1 and least > LEVEL:
             notes.append(
-                f"{task}: of {a} runs against {b} no p here can be below {least:.3g}, however far "
-                "they differ: they decide nothing."
+                f"{task}: with {a} runs against {b}, no p here can be below {least:.3g}, however "
+                "far they differ, so the tests decide nothing."
             )
     single = [name for name, group in sides.named if len(group.runs) == 1]
     return notes + [f"{task}, {name} has one seed: no interval, and no test." for name in single]
 
 
 def _lowest_p(a: int, b: int) -> float:
-    """Least p value of a two-sided permutation test of a runs against b: where all of one side lie
-    above the other's, only that division and, of equal numbers, its mirror are as extreme."""
+    """Return the least p value of a two-sided permutation test of `a` runs against `b`.
+
+    If all runs of one side are above the other's, only that split is as extreme, and its mirror if
+    both sides have equally many runs."""
     return (2 if a == b else 1) / math.comb(a + b, a)

@@ -32,28 +32,28 @@ from emcc import EpisodeRecords, emcc, iqm, profile
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
-# Okabe and Ito's palette, which people with any colour vision can tell apart.
+# Okabe and Ito's palette: distinguishable with any colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#56B4E9")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)))
 DASHES = (*DASHES, (0, (9, 2)), (0, (2, 2.5)), (0, (9, 1.5, 3, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-"""One for each dash: what tells colours apart without colour."""
+"""One marker per dash, so that curves can be told apart without colour."""
 CROWDED, PIXELS = 60, 120
-"""Lines and areas of a panel beyond which they are pixels, and pixels of an inch. The page of very
-many runs would have many megabytes else."""
+"""Number of lines and areas above which a panel is rasterised, and pixels per inch. Otherwise the
+page of very many runs would have many megabytes."""
 DOT: dict[str, Any] = {"linestyle": "", "alpha": 0.55, "markeredgewidth": 0}
 BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
 """Look of a legend below a figure."""
 POINTS = 50
-"""Points of a curve along the training."""
+"""Number of points of a curve along training."""
 WINDOW = 0.1
-"""Width of the running EMCC's window, as a share of the training."""
+"""Width of the running EMCC's window, as a share of training."""
 THRESHOLDS = np.linspace(0, 1, 51)
-"""Thresholds of MCC, of the profiles."""
+"""Thresholds of MCC at which profiles are drawn."""
 
 
 class Figure(NamedTuple):
-    """A picture and its words."""
+    """A picture with its title and caption."""
 
     content: bytes
     """SVG."""
@@ -65,15 +65,15 @@ class Style(NamedTuple):
     """The look of a group's runs."""
 
     colour: str
-    """One for each algorithm."""
+    """The same for all groups of an algorithm."""
     dash: Any
-    """One for each algorithm; another one for each further group of it in the same figure."""
+    """Depends on the algorithm; further groups of the algorithm in a figure get other dashes."""
     marker: str
-    """Chosen like the dash."""
+    """Chosen in the same way as the dash."""
 
 
 def styles(configs: Sequence[TrainConfig]) -> list[Style]:
-    """Styles of the groups of one figure, by the place of their algorithm among all."""
+    """Return the styles of a figure's groups, from the index of their algorithm among all."""
     order = {name: index for index, name in enumerate(ALGORITHMS)}
     places = [order.get(config.algorithm, len(order)) for config in configs]
     taken, chosen = set(), []
@@ -89,7 +89,7 @@ def styles(configs: Sequence[TrainConfig]) -> list[Style]:
 
 @contextlib.contextmanager
 def drawing(font_size: int = 10) -> Iterator[Any]:
-    """pyplot without a display, in a style whose files are equal for equal input."""
+    """Yield pyplot, set up without a display so that equal input gives equal files."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -100,18 +100,18 @@ def drawing(font_size: int = 10) -> Iterator[Any]:
 
 
 def svg_of(figure: Any) -> bytes:
-    """A figure of matplotlib as SVG, which is closed. Crowded panels hold their lines as pixels."""
+    """Return a matplotlib figure as SVG and close it; crowded panels are rasterised."""
     from matplotlib import pyplot
 
     for axis in figure.axes:
         if len(axis.lines) + len(axis.collections) > CROWDED:
-            axis.set_rasterization_zorder(2.1)  # lines and areas, but not axes and words
+            axis.set_rasterization_zorder(2.1)  # lines and areas, but not axes and text
     image = io.StringIO()
     figure.savefig(image, format="svg", dpi=PIXELS, metadata={"Date": None})
     pyplot.close(figure)
-    figure.clear()  # else a cycle of references, of tens of megabytes
+    figure.clear()  # otherwise a reference cycle keeps tens of megabytes
 
-    # Places to a fraction of a point: a third of the size, and nothing that an eye could see.
+    # Coordinates to a fraction of a point: a third of the size, without a visible difference.
     def shorter(attribute: re.Match[str]) -> str:
         digits = 1 if attribute[1] == "d" else 2
         return re.sub(r"-?\d+\.\d{2,}", lambda x: f"{float(x[0]):.{digits}f}", attribute[0])
@@ -120,15 +120,16 @@ def svg_of(figure: Any) -> bytes:
 
 
 def legend(names: Collection[str]) -> tuple[int, float]:
-    """Columns of a legend below a figure of nine inches, at most six, and the inches that the
-    figure needs for its further lines."""
+    """Return the number of columns, at most six, of a legend below a figure nine inches wide, and
+    the inches of extra height for the legend's further lines."""
     columns = min(max(1, 110 // (8 + max(map(len, names)))), 6)
     return columns, 0.2 * max(math.ceil(len(names) / columns) - 2, 0)
 
 
 class Curve(NamedTuple):
-    """The mean over some runs at points of training, with its interval or range as in tables. NaN
-    where a run has nothing, low and high also of a single run."""
+    """Mean over runs at points of training, with its interval or range as in tables.
+
+    NaN where a run has no value; low and high are NaN for a single run too."""
 
     mean: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -136,12 +137,12 @@ class Curve(NamedTuple):
 
 
 def midpoints(total_steps: int) -> NDArray[np.float64]:
-    """The environment steps that the points stand for: [POINTS], the middles of equal parts."""
+    """Return the environment steps of a curve's points, [POINTS]: midpoints of equal parts."""
     return (np.arange(POINTS) + 0.5) / POINTS * total_steps
 
 
 def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> Curve:
-    """The mean of a column of the episodes that start in each part; NaN where none does.
+    """Return the mean of a column over the episodes that start in each part; NaN if none does.
 
     column: "reward" (the return), "cost" or "length".
     """
@@ -149,7 +150,7 @@ def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> 
     for records in (run.records for run in group.runs):
         part = np.minimum(records.start_step * POINTS // total_steps, POINTS - 1)
         values = getattr(records, column)
-        if column == "reward":  # as archives keep it, so that a report from one has the same bytes
+        if column == "reward":  # rounded as in archives: reports from both are equal in each byte
             whole, scale = thousandths(records.reward)
             values = whole / scale
         sums = np.bincount(part, values, minlength=POINTS)
@@ -159,27 +160,27 @@ def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> 
 
 
 def emcc_along(records: EpisodeRecords, total_steps: int) -> list[float]:
-    """EMCC of the rollouts of a run that start within half a window of each of `midpoints`; NaN
-    where none does."""
+    """Return EMCC of a run's rollouts that start within half a window of each midpoint; NaN if none
+    does."""
     mcc, starts = records.mcc_per_rollout()
     near = (np.abs(starts - at) <= WINDOW / 2 * total_steps for at in midpoints(total_steps))
     return [emcc(mcc[chosen], ALPHA) if chosen.any() else np.nan for chosen in near]
 
 
 def running_emcc(group: Group) -> Curve:
-    """`emcc_along` of each run."""
+    """Return the curve of `emcc_along` over the runs of a group."""
     rows = [emcc_along(run.rollouts, group.total_steps) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
 def thirds_emcc(group: Group) -> Curve:
-    """EMCC of the thirds of training: [3]."""
+    """Return EMCC of the thirds of training over the runs of a group, [3]."""
     rows = [[run.measures[f"EMCC_{part}"] for part in PARTS] for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
 def _over_runs(rows: Sequence[Any], one_place: bool, bounds: Bounds) -> Curve:
-    """rows: of each run its values, NaN or None where it has none."""
+    """Return the curve of the mean over runs; rows: each run's values, NaN or None if missing."""
     points = np.full((3, len(rows[0])), np.nan)
     for k, values in enumerate(np.array(rows, dtype=float).T):
         mean = mean_of(values.tolist(), one_place, bounds) if np.isfinite(values).all() else None
@@ -189,15 +190,14 @@ def _over_runs(rows: Sequence[Any], one_place: bool, bounds: Bounds) -> Curve:
 
 
 def task_figures(groups: Sequence[Group]) -> list[Figure]:
-    """The figures of one task, by its runs."""
+    """Return the figures of one task; groups: its runs."""
     groups = [group for group in in_order(groups) if group.runs]
     return [curves([(group.name, group) for group in groups])] if groups else []
 
 
 def curves(named: Sequence[tuple[str, Group]]) -> Figure:
-    """Training curves of groups on one task, each with its name: return, cost return, running EMCC,
-    EMCC of the thirds and, where episodes differ in it, their length. Equal input gives equal
-    bytes."""
+    """Draw training curves of named groups on one task: return, cost return, running EMCC, EMCC of
+    the thirds and, where it varies, the length of episodes. Equal input gives equal bytes."""
     groups = [group for _, group in named]
     limit, task = common_limit(groups), groups[0].task
     columns, height = legend([name for name, _ in named])
@@ -232,8 +232,8 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
 
 
 def draw_curve(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
-    """A line where the curve is known, and an area between its ends."""
-    there = np.isfinite(curve.mean)  # few episodes start in few of the parts
+    """Draw a line where the curve is known, and an area between its low and high ends."""
+    there = np.isfinite(curve.mean)  # with few episodes, none starts in some parts
     at, (mean, low, high) = at[there], (ends[there] for ends in curve)
     look = {"color": style.colour, "linestyle": style.dash}
     axis.plot(at, mean, linewidth=1.5, label=name, **look)
@@ -241,7 +241,7 @@ def draw_curve(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) ->
 
 
 def _draw_thirds(axis: Any, style: Style, offset: float, curve: Curve) -> None:
-    """offset: of the group beside the others, in [-0.5, 0.5]."""
+    """Draw a group's EMCC of the thirds; offset: sideways, from other groups, in [-0.5, 0.5]."""
     at = np.arange(len(curve.mean)) + 0.6 * offset
     axis.vlines(at, curve.low, curve.high, color=style.colour, linewidth=1.5)
     look = {"marker": style.marker, "color": style.colour}
@@ -274,13 +274,13 @@ def _label(axes: Any, total_steps: int) -> None:
 
 
 def intervals_figure(groups: Sequence[Group]) -> Figure:
-    """Every measure of every run, with the mean and the interval of each algorithm.
+    """Draw every measure of every run, with each algorithm's mean and interval.
 
     A row of panels for each task, a column for each measure.
     """
     tasks, columns = by_task(groups), measures()
     named = {task: [_wrapped(g.name, 34) for g in own] for task, own in tasks.items()}
-    # A row holds two lines of a name; the task's name stands beside.
+    # A row has room for two lines of a name; the task's name is beside the rows.
     lines = {task: max(name.count("\n") + 1 for name in names) for task, names in named.items()}
     heights = [max(len(own) * max(lines[task] / 2, 1), 5) for task, own in tasks.items()]
     one_scale = all(task.rpartition(":")[2] in CIRCLE2D for task in tasks)
@@ -314,12 +314,12 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
 
 
 def _wrapped(name: str, width: int) -> str:
-    """A name in lines, what stands in brackets below the rest."""
+    """Return a name in lines of at most `width`; text in brackets starts on a new line."""
     return "\n".join(fill(line, width) for line in name.replace(" (", "\n(").splitlines())
 
 
 def _draw_runs(axis: Any, drawn: Sequence[tuple[Group, Style]], m: Measure) -> None:
-    """A row for each group. The bars and crosses of all rows are one artist each, for speed."""
+    """Draw a row for each group. For speed, one artist holds the bars or crosses of all rows."""
     means, middles, crosses = [], [], []
     for place, (group, style) in enumerate(drawn):
         values, mean = known(group.values(m.name)), group_mean(group, m.name)
@@ -356,7 +356,7 @@ def _frame(axis: Any, rows: int, m: Measure) -> None:
 
 
 def rates_figure(groups: Sequence[Group]) -> Figure:
-    """Cost rate against EMCC, a dot for each run: a row for each task, a column for each third."""
+    """Draw cost rate against EMCC, a dot per run: a row for each task, a column for each third."""
 
     def draw(axis: Any, group: Group, part: float, style: Style) -> None:
         points = [by_third(group, stem)[part] for stem in ("rate", "EMCC")]
@@ -373,7 +373,7 @@ def rates_figure(groups: Sequence[Group]) -> Figure:
 
 
 def profiles_figure(groups: Sequence[Group]) -> Figure:
-    """Share of rollouts whose MCC is above each threshold, by task and third."""
+    """Draw the share of rollouts whose MCC is above each threshold, by task and third."""
 
     def draw(axis: Any, group: Group, part: float, style: Style) -> None:
         thirds = [run.rollouts.by_part(run.total_steps)[part] for run in group.runs]
@@ -402,8 +402,8 @@ def _facets(
     level: float | None = None,
     scale: Literal["all", "row"] = "all",
 ) -> bytes:
-    """Panels by task (rows) and third (columns), with one legend. level: of a dotted line. scale:
-    one for all panels, or one for each task."""
+    """Draw panels by task (rows) and third (columns), with one legend. level: height of a dotted
+    line. scale: whether "all" panels share a scale, or each "row", that is each task, has one."""
     tasks = by_task(groups)
     legend_columns, height = legend({group.name for group in groups})
     with drawing(9) as pyplot:

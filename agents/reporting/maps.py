@@ -1,11 +1,11 @@
-"""Maps of runs: heat of visited states in training, the paths of trained policies, and the replay
+"""Maps of runs: heat maps of states visited in training, paths of trained policies, and the replay
 of training.
 
-On the page the picture below and the one on top are there once for each task; what lies between is
-an image of a pixel for each cell, or an SVG path in thousandths of the picture's side. The replay
-has, for every run, the episode of highest MCC in each window of training, and the running EMCC:
-positions on a grid of 1024 points along each side of the box of those shown, EMCC with three
-digits; all else is exact. The page's script, `templates/replay.js`, reads it.
+The page holds a background and an overlay once for each task; the layer between them is an image
+with a pixel for each cell, or an SVG path in thousandths of the picture's side. The replay has, for
+every run, the episode with the highest MCC in each window of training, and the running EMCC.
+Positions are on a grid of 1024 points along each side of the box around them, EMCC has three
+digits; everything else is exact. The page's script, `templates/replay.js`, reads these data.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ from circle2d_mj.render.figure import figure
 from emcc.parts import ALPHA, PARTS
 
 SCENE_SIZE = 360
-"""Pixels along the side of the pictures below and on top."""
+"""Pixels along the side of backgrounds and overlays."""
 SIDE = 1000
-"""Side of a picture in the units of its paths."""
+"""Side of a picture in the units of its SVG paths."""
 SHADES = 31
-"""Colours of a heat map."""
+"""Number of colours of a heat map."""
 NO_POSITIONS = "it has no positions"
 DIGITS = 1000
 """EMCC is stored as a multiple of 1 / DIGITS."""
 REPLAYED = 200
-"""Runs of a replay, at most: each adds 12 kB to the page."""
+"""Most runs in a replay: each adds 12 kB to the page."""
 
 
 class Ground(NamedTuple):
-    """A task's view with its background, to draw on."""
+    """A task's view and the background to draw on."""
 
     view: View
     background: Picture
 
     def heatmap(self, visits: Visits, most: int) -> Picture:
-        """Visited states. most: visits of the last colour."""
+        """Draw visited states. most: number of visits that the last colour stands for."""
         return self.view.overlay(canvas.with_counts(self.background, visits.counts, most))
 
     def trajectories(self, episodes: Sequence[Episode], boxed: bool) -> Picture:
-        """Episodes, a dot for each state. boxed: see `canvas.with_trajectories`."""
+        """Draw episodes, a dot for each state. boxed: see `canvas.with_trajectories`."""
         paths, costs = zip(*episodes, strict=True)
         extent = self.view.extent
         picture = canvas.with_trajectories(self.background, extent, paths, costs, boxed=boxed)
@@ -65,7 +65,7 @@ class Ground(NamedTuple):
 
 
 class HeatColumn(NamedTuple):
-    """Visited states of some runs, in several parts of training or on several tasks."""
+    """A column of heat maps: states that runs visited in parts of training, or on several tasks."""
 
     title: str
     views: Sequence[View]
@@ -74,9 +74,9 @@ class HeatColumn(NamedTuple):
 
 
 def heat_figure(columns: Sequence[HeatColumn], titles: Sequence[str], size: int) -> Picture:
-    """Heat maps with one scale: those of a single column side by side, else a row for each part.
+    """Draw heat maps with one scale; the maps of a single column are placed side by side.
 
-    titles: of the parts; size: pixels along the side of each map.
+    titles: of the parts, the rows; size: pixels along the side of each map.
     """
     most = canvas.most_visits([part.counts for column in columns for part in column.parts])
     pictures = [
@@ -95,19 +95,19 @@ def heat_figure(columns: Sequence[HeatColumn], titles: Sequence[str], size: int)
 
 
 def visits_words(visits: Visits) -> str:
-    """The line below a heat map."""
+    """Return the line below a heat map."""
     return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
 
 
 def png(picture: Picture | Image.Image, **how: Any) -> bytes:
-    """The picture as a PNG, as small as can be without loss. how: further options of Pillow."""
+    """Return the picture as a small lossless PNG. how: options of Pillow."""
     image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
     image.save(file := io.BytesIO(), "PNG", **({"optimize": True} | how))
     return file.getvalue()
 
 
 def heat_png(counts: NDArray[np.int64], most: int) -> bytes:
-    """The heat of visits, a pixel for each cell; cells without a visit are transparent.
+    """Return the heat map of visits as a PNG, a pixel per cell; unvisited cells are transparent.
 
     counts: [cells, cells]; most: see `canvas.with_counts`.
     """
@@ -119,27 +119,28 @@ def heat_png(counts: NDArray[np.int64], most: int) -> bytes:
 
 
 class Scene(NamedTuple):
-    """The part that all pictures of one task share."""
+    """The background and overlay that all pictures of a task share."""
 
     number: int
-    """Its place among the page's."""
+    """Index among the scenes of the page."""
     extent: Extent
     """Left, right, bottom and top in the view's unit."""
     below: bytes
-    """PNG."""
+    """Background, PNG."""
     above: bytes
-    """PNG with transparency."""
+    """Overlay, PNG with transparency."""
 
 
 class Scenes:
-    """The scenes of tasks, each made when it is first asked for."""
+    """The scenes of tasks, each created on first use."""
 
     def __init__(self) -> None:
         self._made: dict[str, Scene | None] = {}
 
     def get(self, group: Group, notes: list[str]) -> Scene | None:
-        """The scene of the task of some runs; None of a task without a view, and of one that cannot
-        be made, which goes into the notes."""
+        """Return the scene of a group's task; None for a task without a view.
+
+        If the view cannot be made, it adds a note and returns None."""
         task, parameters = group.task, group.config.task_parameters
         key = repr((task, parameters))
         if key not in self._made:
@@ -154,12 +155,12 @@ class Scenes:
 
     @property
     def all(self) -> list[Scene]:
-        """Those that were asked for, by number."""
+        """All scenes created so far, by number."""
         return [scene for scene in self._made.values() if scene]
 
 
 def _scene(number: int, view: View) -> Scene:
-    # What lies on top covers light and dark alike, so their difference tells how much it covers.
+    # The overlay covers light and dark alike, so their difference shows how opaque it is.
     light, dark = (
         view.overlay(np.full((SCENE_SIZE, SCENE_SIZE, 3), shade, np.uint8)).astype(np.float64)
         for shade in (255, 0)
@@ -171,35 +172,35 @@ def _scene(number: int, view: View) -> Scene:
 
 
 class Map(NamedTuple):
-    """A picture in layers: heat or paths, between what is below and on top."""
+    """A picture in layers: a heat map or paths between background and overlay."""
 
     scene: Scene
     words: str
-    """The line below it."""
+    """The line below the picture."""
     heat: bytes = b""
-    """PNG of `heat_png`."""
+    """PNG from `heat_png`."""
     way: str = ""
     costs: str = ""
-    """SVG paths of `paths`."""
+    """SVG paths from `paths`."""
 
 
 class Maps(NamedTuple):
-    """Maps side by side, a column for each algorithm; of a single one a row."""
+    """A grid of maps with a column for each algorithm; the maps of a single algorithm are a row."""
 
     title: str
     caption: str
     columns: Sequence[str]
     rows: Sequence[str]
     cells: Sequence[Sequence[Map | str]]
-    """Row by row; words where there is nothing to draw."""
+    """Row by row; a string where there is nothing to draw."""
     most_visits: int | None = None
-    """Visits that the last colour of heat stands for."""
+    """Number of visits that the last colour of heat maps stands for."""
 
 
 def maps(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> list[Maps]:
-    """The maps of one task; none of a task without a view.
+    """Draw the maps of one task; empty for a task without a view.
 
-    groups: its runs. What cannot be drawn goes into the notes.
+    groups: the task's runs. Adds a note on each map that cannot be drawn.
     """
     complete = [group for group in in_order(groups) if group.runs]
     seen = [(g, scene) for g in complete if (scene := scenes.get(g, notes))]
@@ -208,13 +209,13 @@ def maps(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> list[Maps
 
 
 def _turned(shown: Maps) -> Maps:
-    """The maps with rows and columns exchanged: those of one algorithm fit side by side."""
+    """Transpose the grid, so that the maps of a single algorithm are side by side."""
     cells = list(zip(*shown.cells, strict=True))
     return shown._replace(columns=shown.rows, rows=shown.columns, cells=cells)
 
 
 def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
-    """A row for each third of training; one scale for all."""
+    """Draw the states visited in training: a row for each third, one scale for all."""
     names: list[str] = []
     columns: list[list[tuple[Scene, str, NDArray[np.int64]]]] = []
     for group, scene in seen:
@@ -246,7 +247,7 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
 
 
 def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
-    """A row for each run."""
+    """Draw the paths of trained policies: a row for each run."""
     names: list[str] = []
     columns: list[list[Map | str]] = []
     for group, scene in seen:
@@ -278,7 +279,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
 
 
 def _map(run: RunResult, episodes: Sequence[Drawn], scene: Scene) -> Map:
-    """The episodes of a run's policy."""
+    """Draw the episodes of a run's trained policy."""
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
     words = ", ".join(f"{m.title} {value:.1f}" for m, value in named if value is not None)
     way, costs = paths(scene.extent, episodes)
@@ -286,8 +287,8 @@ def _map(run: RunResult, episodes: Sequence[Drawn], scene: Scene) -> Map:
 
 
 def paths(extent: Extent, episodes: Sequence[Drawn]) -> tuple[str, str]:
-    """SVG paths of episodes: their lines, a drawn state at each point; and a point for each drawn
-    state that cost, or stands for one that did."""
+    """Return two SVG paths: lines through the drawn states of each episode, and a point at each
+    drawn state where a step cost, or that stands for such a state."""
     ways, costly = [], []
     for positions, unsafe in episodes:
         points = np.round(canvas.pixels(extent, positions, SIDE)).astype(np.int64)
@@ -297,16 +298,16 @@ def paths(extent: Extent, episodes: Sequence[Drawn]) -> tuple[str, str]:
 
 
 def _line(points: NDArray[np.int64]) -> str:
-    """Points as a path relative from one to the next, which takes half the letters."""
+    """Return points as a relative SVG path, half as long as an absolute one."""
     (x, y), *steps = [points[0].tolist(), *np.diff(points, axis=0).tolist()]
     return f"{x} {y}l" + " ".join(f"{dx} {dy}" for dx, dy in steps) if steps else f"{x} {y}h0"
 
 
 def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> dict[str, Any]:
-    """The data of the player; no runs where none has recorded positions and costs.
+    """Return the data of the replay; its "runs" is empty if no run has positions and costs.
 
-    It has the first seeds of each group: `DRAWN_POLICIES`, fewer where these are more than
-    `REPLAYED` runs. What cannot be replayed of a task with positions goes into the notes.
+    The replay shows the first `DRAWN_POLICIES` seeds of each group, or fewer if that would be more
+    than `REPLAYED` runs. For tasks with a view, adds notes on what cannot be replayed.
     """
     runs, most = [], min(DRAWN_POLICIES, max(1, REPLAYED // max(1, len(groups))))
     if any(len(group.runs) > most for group in groups):
@@ -339,7 +340,7 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
 
 
 def _run(run: RunResult, replay: Highlights) -> dict[str, Any]:
-    """One run's entry: numbers of each episode, then all points and all costs in a row."""
+    """Return a run's entry: numbers of each episode, then all points and costs concatenated."""
     episodes, steps = replay.episodes, run.replay_steps
     unsafe = [episode.unsafe for episode in episodes]
     lengths, costs = [len(steps) for steps in unsafe], [episode.cost for episode in episodes]
@@ -349,7 +350,7 @@ def _run(run: RunResult, replay: Highlights) -> dict[str, Any]:
         "box": replay.box.ravel().tolist(),
         "window": [episode.window for episode in episodes],
         "start": [episode.start_step for episode in episodes],
-        # One number where all episodes are as long, none where cost steps cost 1.
+        # A single length if all episodes have it, and no costs if each cost step costs 1.
         "length": lengths[0] if len(set(lengths)) == 1 else lengths,
         "cost": None if costs == [steps.sum() for steps in unsafe] else costs,
         "points": _text(_packed(np.concatenate([episode.points for episode in episodes]))),
@@ -362,7 +363,7 @@ def _run(run: RunResult, replay: Highlights) -> dict[str, Any]:
 
 
 def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Points [N, 2]: x and y of one after another, `BITS` bits each."""
+    """Pack points [N, 2]: x and y of each point in turn, `BITS` bits each."""
     return np.packbits(points.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
 
 

@@ -1,4 +1,4 @@
-"""The numbers of a report for a program: one CSV table of whole precision."""
+"""The numbers of a report for programs, as CSV at full precision."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from agents.results.statistics import Difference, group_mean, known, places, wit
 from emcc import Interval, iqm
 
 Line = Mapping[str, str | int | float | None]
-"""Cells by the head of their column; those that are not there are empty."""
+"""Cells by column heading; missing ones are written as empty."""
 
 
 def numbers_csv(lines: Iterable[Line]) -> str:
-    """Lines as CSV below their head. A float is written with all its digits; a measure that is not
-    known is empty.
+    """Return lines as CSV with a heading. Floats have all their digits; unknown measures are empty.
 
-    algorithm: with the settings that are not its preset's; in a comparison "A: ", "B: " or
-    "B - A: " before it. kind: "run", "paper", "mean" over as many seeds as its line tells, "iqm"
-    (interquartile mean), or "difference" of two sides' means with "p" (permutation test, not
-    corrected) and "improvement" (probability that a run of B is better). Behind them " low" and
-    " high" are the ends of the 95 % interval, " lowest" and " highest" those of the seeds where no
-    interval is given. "ends in" and "within limit" are shares of the seeds, in columns of their
-    own. folder: of the runs, below the report's or its side's.
+    Columns: algorithm: with the settings that differ from its preset; a comparison puts "A: ",
+    "B: " or "B - A: " in front. kind: "run", "paper", "mean" over the number of seeds in the line,
+    "iqm" (interquartile mean), or "difference" of the two sides' means, with "p" (permutation test,
+    not corrected) and "improvement" (probability that a run of B is better). A kind ending in
+    " low" or " high" has the ends of the 95 % interval; " lowest" or " highest" has the extreme
+    seeds where there is no interval. "ends in" and "within limit" are shares of the seeds, with
+    columns of their own. folder: of the runs, relative to that of the report or of the side.
     """
     head = ["task", "algorithm", "kind", "seed", *(m.name for m in measures())]
     head += ["seeds", "share", "share_low", "share_high", "ends_in", "folder"]
@@ -40,14 +39,14 @@ def numbers_csv(lines: Iterable[Line]) -> str:
 
 
 def measures_csv(groups: Sequence[Group]) -> str:
-    """The tidy rows of `agents.results.frame.rows` as CSV: what is not known is empty."""
+    """Return the tidy rows of `agents.results.frame.rows` as CSV; unknown values are empty."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows(groups)])
     return text.getvalue()
 
 
 def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
-    """Means and runs of every group, then the printed numbers of the same algorithms."""
+    """Yield means and runs of every group, then the published numbers of the same algorithms."""
     yield from group_lines(groups)
     printed = {(g.task, g.config.algorithm): g.printed for g in groups if g.printed}
     for (task, name), values in printed.items():
@@ -55,7 +54,7 @@ def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
 
 
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
-    """The means of each group with their intervals and its shares, then its runs."""
+    """Yield for each group the means with their intervals, the shares, and the runs."""
     for group in groups:
         about = {"task": group.task, "algorithm": prefix + group.full_name, "folder": group.folder}
         if group.runs:
@@ -76,7 +75,7 @@ def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
 
 
 def difference_lines(task: str, name: str, told: Mapping[str, Difference]) -> Iterator[Line]:
-    """B - A of each measure, its p value, and the probability that B is better."""
+    """Yield B - A of each measure, its p value, and the probability that B is better."""
     about = {"task": task, "algorithm": name}
     yield from _interval_lines(about, "difference", {m: d.gap for m, d in told.items()})
     yield about | {"kind": "p"} | {m: d.p for m, d in told.items()}

@@ -1,4 +1,4 @@
-"""Tables over all tasks: what EMCC tells apart, means with their tests, ranks and orders."""
+"""Tables over all tasks: pairs that only EMCC tells apart, means with tests, ranks and orders."""
 
 from __future__ import annotations
 
@@ -43,19 +43,20 @@ RATES, TASKS = "Cost rate against EMCC", "All tasks together"
 RANKS, ORDERS = "Ranks over tasks", "What EMCC orders otherwise than the cost rate"
 RESAMPLES = 1_000
 FEWEST_ALGORITHMS, FEWEST_TASKS = 3, 2
-"""The fewest of each that have tables of ranks and orders."""
+"""Fewest algorithms and tasks for tables of ranks and orders."""
 MOST_PAIRED = 8
-"""Algorithms, at most, of which every pair is compared over all tasks."""
+"""Most algorithms of which every pair is compared over all tasks."""
 
 Cells = Mapping[str, Mapping[str, Group]]
-"""A group by the algorithm's title and the task; every algorithm has all tasks."""
+"""Groups by the algorithm's title and the task; every algorithm has all tasks."""
 Draws = NDArray[np.float64]
-"""[RESAMPLES + 1, ...]: the runs as they are, then as they were drawn again"""
+"""[RESAMPLES + 1, ...]: value for the actual runs, then for each bootstrap resample"""
 
 
 def tables_over_tasks(groups: Sequence[Group]) -> dict[str, Table]:
-    """All of them by title, but those for which there is too little. What goes over tasks is of one
-    cost, the first group's."""
+    """Return the tables over tasks by title, without those for which there are too few runs.
+
+    All but the table of pairs are about one cost, the first group's."""
     across = [ACROSS_WORDS] if mixed(groups) else []
     groups = alike(groups)
     of_one_cost = [group for group in groups if group.cost == groups[0].cost]
@@ -73,12 +74,14 @@ def tables_over_tasks(groups: Sequence[Group]) -> dict[str, Table]:
 
 
 def tasks_of(cells: Cells) -> list[str]:
-    """The tasks, which every algorithm has."""
+    """Return the tasks of the cells, the same for every algorithm."""
     return list(next(iter(cells.values()), ()))
 
 
 def on_every_task(groups: Sequence[Group], name: Callable[[Group], str]) -> Cells:
-    """The groups of the names that are there on every task; of several that of most runs."""
+    """Return groups by name and task, for names with a group on every task.
+
+    Of several groups with a name on a task, the one with the most runs is taken."""
     named: dict[str, dict[str, Group]] = {}
     for group in groups:
         own = named.setdefault(name(group), {})
@@ -89,13 +92,15 @@ def on_every_task(groups: Sequence[Group], name: Callable[[Group], str]) -> Cell
 
 
 def of_presets(groups: Iterable[Group]) -> list[Group]:
-    """Groups with complete runs and preset settings, in the order of the algorithms."""
+    """Return the groups with complete runs and preset settings, in the order of `in_order`."""
     return [g for g in in_order(groups) if g.runs and not changes(g.config, g.task)]
 
 
 def comparable(groups: Iterable[Group]) -> Cells:
-    """The runs of presets that can be compared: on each task those of the length that most
-    algorithms have there; of the algorithms that have runs on every task."""
+    """Return the groups with preset settings that can be compared over tasks.
+
+    On each task those of the most common length are taken; algorithms without such a group on every
+    task are left out."""
     usual = of_presets(groups)
     lengths: dict[str, Counter[int]] = {}
     for group in usual:
@@ -111,8 +116,9 @@ SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B
 
 
 def separated_table(groups: Sequence[Group]) -> Table | None:
-    """Pairs that EMCC tells apart and the cost rate does not, with the counts in a sentence; None
-    where there is nothing to compare."""
+    """Return the table of pairs with equal cost rates and different EMCC; its caption counts them.
+
+    None if there is nothing to compare."""
     pairs = comparisons([group for own in by_task(groups).values() for group in own])
     if pairs.empty:
         return None
@@ -134,7 +140,7 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
 
 
 def _separated_row(pair: Any) -> Row:
-    """pair: a row of `comparisons`."""
+    """Return the row of a pair; pair: a row of `comparisons`."""
     names = " and ".join(group.name for group in (pair.a, pair.b))
     one_place = pair.a.one_place and pair.b.one_place
     cells = []
@@ -149,15 +155,15 @@ def _separated_row(pair: Any) -> Row:
 TEST = (
     "permutation test of Welch's t of the means over seeds and tasks, runs exchanged within tasks"
 )
-"""The test of both tables over tasks."""
+"""The permutation test over tasks, as captions describe it."""
 
 
 def over_tasks(groups: Sequence[Group]) -> Table | None:
-    """Measures of training over all tasks, of the algorithms that have presets' runs of one length
-    on each.
+    """Return the table of training's measures over all tasks, for algorithms with runs of one
+    length and preset settings on every task.
 
-    None where there are not two tasks with five seeds each. The pairs of more than `MOST_PAIRED`
-    algorithms are left to the table of ranks.
+    None if there are fewer than two tasks, or no algorithm has five seeds in common on all. Pairs
+    of more than `MOST_PAIRED` algorithms are left to the table of ranks.
     """
     columns = common_measures()
     cells = on_every_task(of_presets(groups), lambda g: titled(g.config.algorithm, g.length))
@@ -199,9 +205,9 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
 
 
 def differences_over_tasks(told: OverTasks, asked: Collection[str] | None = None) -> Table | None:
-    """Differences B - A of the means over all tasks, with a test of each; None without any.
+    """Return the table of differences B - A of means over all tasks with their tests.
 
-    asked: see `agents.results.statistics.only`.
+    None if `told` is empty. asked: see `agents.results.statistics.only`.
     """
     if not told:
         return None
@@ -209,7 +215,7 @@ def differences_over_tasks(told: OverTasks, asked: Collection[str] | None = None
     tested, tests = holm({key: only(asked, own) for key, own in told.items()})
     rows = []
     for key, own in tested.items():
-        # A digit more than means have: over tasks small differences can be told from none.
+        # One digit more than means have: over tasks, small differences can be significant.
         rows += difference_rows(", ".join(key), own, columns, tests, more_digits=1)
     words = (
         "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
@@ -221,8 +227,8 @@ def differences_over_tasks(told: OverTasks, asked: Collection[str] | None = None
 
 
 def ranked(run: RunResult, limit: float | None) -> dict[str, float | None]:
-    """The numbers of a run by which algorithms are ranked, the lower the better, by their head;
-    None for what it lacks."""
+    """Return the numbers by which algorithms are ranked, by column heading; lower is better, and
+    None stands for what the run lacks."""
     found = {f"EMCC_{part}": run.measures.get(f"EMCC_{part}") for part in PARTS}
     found["cost rate"], j_r = run.measures.get("cost_rate"), run.measures.get("J_R")
     above = None if limit is None else float((run.records.cost > limit).mean())
@@ -230,7 +236,9 @@ def ranked(run: RunResult, limit: float | None) -> dict[str, float | None]:
 
 
 def ranked_values(cells: Cells) -> dict[str, list[list[NDArray[np.float64]]] | None]:
-    """`ranked` of the runs, by head, then for each task and algorithm; None where some lack."""
+    """Return the values of `ranked` by heading, then per task and algorithm, [runs] each.
+
+    None for a heading that some run lacks."""
     tables: dict[str, list[list[list[float] | None]]] = {}
     for task in tasks_of(cells):
         groups = [own[task] for own in cells.values()]
@@ -246,8 +254,8 @@ def ranked_values(cells: Cells) -> dict[str, list[list[NDArray[np.float64]]] | N
 
 
 def weights(runs: Sequence[NDArray[np.float64]], rng: np.random.Generator) -> Draws:
-    """The share of every run of a task, all algorithms in turn, in the mean of its own
-    algorithm."""
+    """Return each run's weight in the mean of its algorithm, for the runs of one task, and for each
+    bootstrap resample of them: [RESAMPLES + 1, all runs, one algorithm after another]."""
     counts = [rng.multinomial(len(r), np.full(len(r), 1 / len(r)), RESAMPLES) for r in runs]
     drawn = [
         np.concatenate([np.ones((1, len(r))), c]) / len(r)
@@ -257,9 +265,11 @@ def weights(runs: Sequence[NDArray[np.float64]], rng: np.random.Generator) -> Dr
 
 
 def ranks_and_wins(table: Sequence[Sequence[NDArray[np.float64]]]) -> tuple[Draws, Draws]:
-    """Each algorithm's mean rank over tasks, of the means over runs, 1 the best, and the
-    probability that a run of it is better than one of another algorithm on the same task, equal
-    ones half: [RESAMPLES + 1, algorithms] each."""
+    """Return each algorithm's mean rank over tasks and its probability of improvement.
+
+    Both are [RESAMPLES + 1, algorithms]. Ranks are those of means over runs, 1 the best. The second
+    is the probability that a run of the algorithm is better than a run of another algorithm on the
+    same task; ties count half."""
     from scipy.stats import rankdata
 
     rng, ranks, wins = np.random.default_rng(0), [], []
@@ -275,14 +285,16 @@ def ranks_and_wins(table: Sequence[Sequence[NDArray[np.float64]]]) -> tuple[Draw
 
 
 def cell(draws: NDArray[np.float64], enough: bool, digits: int, signed: bool = False) -> Number:
-    """The number of some draws, with their 95 % interval where there are enough runs."""
+    """Return the cell of a statistic, with its 95 % interval if there are enough runs.
+
+    draws: [RESAMPLES + 1]."""
     low, high = np.quantile(draws[1:], [0.025, 0.975]).tolist() if enough else (None, None)
     return Number(float(draws[0]), digits, low, high, signed=signed)
 
 
 def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
-    """Mean ranks over tasks with their intervals, and the probability of improvement over the other
-    algorithms. left_out: names of those that are not on every task."""
+    """Return the table of mean ranks over tasks, and of the probability of improvement over the
+    other algorithms, with their intervals. left_out: algorithms without runs on every task."""
     drawn = {
         head: ranks_and_wins(table) if table else None
         for head, table in ranked_values(cells).items()
@@ -319,8 +331,7 @@ def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
 
 
 def orders_table(cells: Cells) -> Table:
-    """Where EMCC orders algorithms otherwise than the cost rate of the same third, and by how
-    much."""
+    """Return the table of how differently EMCC and the cost rate of a third order algorithms."""
     rows = []
     for task in tasks_of(cells):
         rates, emccs = (
@@ -349,9 +360,10 @@ def order_row(
     emccs: Mapping[str, list[float]],
     one_place: Mapping[str, bool],
 ) -> Row:
-    """The pairs of a task and third that the two measures order otherwise.
+    """Return the row on pairs of algorithms that EMCC and cost rate order differently.
 
-    one_place: whether all runs of an algorithm end in one place.
+    name: of the task and third; rates, emccs: values of the runs by algorithm; one_place: whether
+    all runs of an algorithm end in one place.
     """
     from scipy.stats import kendalltau
 

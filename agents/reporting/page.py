@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: no network, no files beside it."""
+"""The report as one self-contained HTML page: it needs no network and no other files."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from agents.reporting.table import Number, Table
 from circle2d_mj.render import canvas
 
 URL = " !$()*+,-./:;=?@[]^_`{|}~'"
-"""Characters that need no escape in a data URL in double quotes."""
+"""Characters that need no escaping in a data URL in double quotes."""
 
 
 class Otherwise(NamedTuple):
-    """The verdict on a statement with other runs."""
+    """The verdict on a statement under another choice of runs."""
 
     choice: str
     verdict: str
     findings: Sequence[tuple[str, str]]
-    """Words and verdicts of the parts that it changes."""
+    """Text and verdict of each part whose verdict changes."""
 
 
 HANGS = "†"
-"""Mark of a verdict that other runs change."""
+"""Mark of a verdict that depends on the choice of runs."""
 
 
 class Statement(NamedTuple):
-    """A statement and the verdict that runs give."""
+    """A statement and its verdict from the runs."""
 
     text: str
     verdict: str
     rule: str
     findings: Sequence[tuple[str, str]]
-    """Words and verdict of each part."""
+    """Text and verdict of each part."""
     otherwise: Sequence[Otherwise] = ()
 
     @property
     def told(self) -> str:
-        """The verdict, with the mark; of several parts with the number of each verdict."""
+        """The verdict with its mark and, for several parts, the number of each verdict."""
         counts = Counter(verdict for _, verdict in self.findings)
         parts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
         words = f"{self.verdict.capitalize()}{f' {HANGS}' if self.otherwise else ''}"
@@ -67,15 +67,15 @@ class Section(NamedTuple):
     """How the statements are decided."""
     maps: Sequence[Maps] = ()
     replay: Mapping[str, Any] | None = None
-    """Data of `maps.replay_data`."""
+    """Data from `maps.replay_data`."""
 
     @property
     def anchor(self) -> str:
-        """The target of links to it. Titles differ in more than punctuation."""
+        """Target of links to the section. Titles must differ in more than punctuation."""
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
 
     def statements_markdown(self) -> str:
-        """The statements, each below a heading."""
+        """Return the statements as Markdown, each below a heading."""
         lines = [f"## {self.title}", "", self.method, ""]
         for number, stated in enumerate(self.statements, 1):
             lines += [f"### {number}. {stated.text} **{stated.told}**", "", f"Rule: {stated.rule}"]
@@ -96,10 +96,10 @@ def page(
     lead: str = "",
     scenes: Sequence[Scene] = (),
 ) -> str:
-    """The page.
+    """Return the page as HTML.
 
-    sections: in their order; made: how the numbers came about, by name; lead: one line below the
-    title; scenes: of all maps and of the replay.
+    sections: in order; made: how the numbers were made, by name; lead: one line below the title;
+    scenes: those that the maps and the replay use.
     """
     last = Section("How it was made")
     return _template().render(
@@ -138,13 +138,13 @@ def _template() -> Template:
 
 
 def script_json(data: Mapping[str, Any]) -> str:
-    """JSON that can stand in a script element."""
+    """Return JSON that is safe inside a script element."""
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _embedded(figure: Figure) -> str:
-    """A figure as a data URL."""
-    # As text, which takes a third less than base64; no line breaks, no double quotes.
+    """Return a figure as a data URL."""
+    # Text takes a third less than base64; it must have no line breaks and no double quotes.
     svg = re.sub(rb"\s+([MLCQz])\s+", rb"\1", figure.content)  # the commands of paths
     svg = re.sub(rb"\s+", b" ", svg).replace(b"'", b"&apos;").replace(b'"', b"'")
     return Markup(f"data:image/svg+xml,{quote(svg, safe=URL)}")
@@ -155,6 +155,6 @@ def _png(content: bytes) -> str:
 
 
 def _gradient() -> str:
-    """The colours of heat, from one visit to the most, for CSS."""
+    """Return the colours of heat maps, from one visit to the most, for CSS."""
     colours = canvas.heat_colours(np.linspace(0.0, 1.0, len(canvas.HEAT))).tolist()
     return ", ".join(f"rgb({r} {g} {b})" for r, g, b in colours)

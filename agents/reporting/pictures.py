@@ -1,4 +1,4 @@
-"""Pictures and films on demand, and their files: heat of training, episodes of trained policies."""
+"""Pictures and films on demand: heat maps of training and episodes of trained policies."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from emcc.parts import PARTS
 CELLS = 160
 """Cells along each side of a heat map."""
 SIZE = 640
-"""Pixels along the side of a map."""
+"""Default pixels along the side of a map."""
 AGENT = (200, 30, 30)
 """Colour of the agent."""
 HELD = 8
-"""Pictures for which an episode's last one stays."""
+"""Number of further pictures for which an episode's last one stays."""
 FRAMES_A_SECOND = 10
-"""A step of the task takes 0.1 s."""
+"""Frame rate of films: a step of the task takes 0.1 s."""
 
 
 def heatmap(
@@ -53,14 +53,14 @@ def heatmap(
     names: Sequence[str | None] | None = None,
     task: str | None = None,
 ) -> Picture:
-    """Heat maps of parts of training: [height, width, 3].
+    """Draw heat maps of parts of training with one scale: [height, width, 3].
 
-    folders: each of runs of one algorithm; the runs of the seeds, by default all that have not
-    failed, are taken together. The parts of a single folder stand side by side; several folders
-    are the columns, the parts the rows, with one scale for all. parts and alpha: see
-    `derive.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
-    default the algorithm, its settings and the task, and the seeds where they are not all. task:
-    where a folder has several. Raises UserError for a folder without positions, or another seed.
+    For a single folder, the parts are side by side; several folders are columns, and parts are
+    rows. folders: of one algorithm each. parts and alpha: see `derive.count_visits`; size: pixels
+    along the side of each map. seeds: whose runs are taken together, by default all that have not
+    failed. names: titles of the folders; by default the algorithm, its settings and the task, and
+    the seeds unless all are shown. task: the one to show, if a folder has several. Raises UserError
+    for a folder without positions, and for a seed that is not among the runs.
     """
     names = names or [None] * len(folders)
     columns = [
@@ -85,7 +85,7 @@ def _column(
         ids = {seed: RunId(task, seed) for seed in config.seeds}
         seeds = tuple(seed for seed, run in ids.items() if run.prefix + "failure" not in arrays)
     if not seeds or not set(seeds) <= set(config.seeds):
-        raise UserError(f"seeds must be some of {list(config.seeds)} not failed, got {list(seeds)}")
+        raise UserError(f"seeds must be among {list(config.seeds)}, not failed, got {list(seeds)}")
     runs = []
     for run in (RunId(task, seed) for seed in seeds):
         positions = steps.get(run, "positions")
@@ -116,12 +116,12 @@ def evaluation_episodes(
     camera: str | None = None,
     every: int = 1,
 ) -> tuple[list[Episode] | list[Filmed], View | None]:
-    """The first episodes of the evaluation of one run, and the view of its task.
+    """Play the first evaluation episodes of a run again; return them and the view of the task.
 
-    Without a view the episodes are the task's own frames. noisy: of the stochastic policy.
-    own_frames: take them even so; camera: of a task with several, where they are seen from; every:
-    steps from a frame to the next. Raises UserError for a task without view and frames, and a
-    policy that is not finite.
+    Without a view, or with own_frames, the episodes are filmed by the task itself and the view is
+    None. noisy: whether to play the stochastic policy. camera: the one to film with, if the task
+    has several; every: steps from one frame to the next. Raises UserError for a task with neither
+    view nor frames, and for a policy whose actions are not finite.
     """
     config = TrainConfig.read(folder)
     evaluated = config.evaluation_episodes
@@ -136,7 +136,7 @@ def evaluation_episodes(
         for cause in filter(None, rollout.failure):
             if isinstance(cause, TaskFailure):
                 raise cause
-            raise UserError(f"the policy of {run} gives numbers that are not finite")
+            raise UserError(f"the policy of {run} returns numbers that are not finite")
         return rollout
 
     if camera is not None:
@@ -154,14 +154,15 @@ class Panel:
 
     title: str
     view: View | None
-    """None for episodes that the task itself draws."""
+    """None for episodes that the task itself renders."""
     episodes: Sequence[Episode | Filmed]
 
 
 def picture(panels: Sequence[Panel], size: int) -> Picture:
-    """All episodes of each panel in one picture, chains of cost steps boxed: [height, width, 3].
+    """Draw all episodes of each panel in one picture, with streaks of cost steps boxed.
 
-    size: pixels along each side of a panel. Raises UserError for a panel without a view.
+    Returns [height, width, 3]. size: pixels along each side of a panel. Raises UserError for a
+    panel without a view.
     """
     drawn = []
     for panel in panels:
@@ -178,11 +179,11 @@ def picture(panels: Sequence[Panel], size: int) -> Picture:
 
 
 def film(panels: Sequence[Panel], size: int, every: int = 1) -> Iterator[Picture]:
-    """The episodes one after another, those of all panels at once: [height, width, 3] for each
-    state that is shown, with the way that led there. An episode that is over waits for the others.
+    """Yield a picture [height, width, 3] for each shown state, with the path that led to the state.
 
-    size: pixels along each side of a panel; height and width are even, as video needs them. every:
-    steps from a picture to the next.
+    Episodes follow each other; those of all panels play at the same time, and an episode that is
+    over waits for the others. size: pixels along each side of a panel; height and width are even,
+    as video requires. every: steps from one picture to the next.
     """
     grounds = [Ground(p.view, p.view.background(size)) if p.view else None for p in panels]
     for number, episodes in enumerate(zip(*(p.episodes for p in panels), strict=True), 1):
@@ -197,19 +198,19 @@ def film(panels: Sequence[Panel], size: int, every: int = 1) -> Iterator[Picture
 
 
 def pictures_of(panels: Sequence[Panel], every: int = 1) -> int:
-    """Number of pictures of a film."""
+    """Return the number of pictures of a film."""
     together = zip(*(panel.episodes for panel in panels), strict=True)
     return sum(len(_shown(episodes, every)) for episodes in together)
 
 
 def _shown(episodes: Sequence[Episode | Filmed], every: int) -> list[int]:
-    """Steps that are taken before each picture of episodes that are shown at once."""
+    """Return the steps taken before each picture, for episodes that are shown together."""
     longest = max(len(episode.costs) for episode in episodes)
     return [*range(0, longest, every), *[longest] * (1 + HELD)]
 
 
 def _words(number: int, episode: Episode | Filmed, steps: int) -> str:
-    """Number, step, cost and longest streak of an episode after some steps."""
+    """Return the caption of an episode after some steps: number, step, cost, longest streak."""
     costs = episode.costs[:steps]
     streak = longest_streak(costs) if steps else 0
     return f"episode {number}, step {steps}: cost {costs.sum():g}, longest streak {streak}"
@@ -218,8 +219,8 @@ def _words(number: int, episode: Episode | Filmed, steps: int) -> str:
 def _state(
     ground: Ground | None, episode: Episode | Filmed, steps: int, size: int, every: int
 ) -> Picture:
-    """The task after some steps of an episode: the way there, and a disc where the agent is; or the
-    task's own frame in the middle of the panel, edged where one of the last `every` steps cost."""
+    """Draw the task after some steps of an episode: the path and a disc for the agent; or the
+    task's own frame, centred, with a border if one of the last `every` steps cost."""
     if isinstance(episode, Filmed):
         with Image.open(io.BytesIO(episode.frames[steps])) as frame:
             image = ImageOps.pad(frame, (size, size), color=(255, 255, 255))
@@ -235,7 +236,7 @@ def _state(
 
 
 def _with_agent(picture: Picture, view: View, position: NDArray[np.floating]) -> Picture:
-    """The picture with a disc where the agent is."""
+    """Draw a disc where the agent is."""
     image, radius = Image.fromarray(picture), max(len(picture) / 60, 2.5)
     column, row = canvas.pixels(view.extent, position, len(picture))
     corners = (column - radius, row - radius, column + radius, row + radius)
@@ -244,25 +245,25 @@ def _with_agent(picture: Picture, view: View, position: NDArray[np.floating]) ->
 
 
 def _even(picture: Picture) -> Picture:
-    """The picture without its last row and column where their number is odd."""
+    """Crop the last row or column of a picture with an odd number of them."""
     height, width, _ = picture.shape
     return picture[: height - height % 2, : width - width % 2]
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write a PNG, whole or not at all."""
+    """Write a PNG; an error leaves no partial file."""
     _prepare(path)
     write_whole(path, png(picture))
 
 
 def _few_colours(picture: Picture) -> Image.Image:
-    """The picture in the colours that a GIF holds well: it is then half as large."""
+    """Reduce the colours of a picture for a GIF, which is then half as large."""
     octree = Image.Quantize.FASTOCTREE  # five times as fast as the default
     return Image.fromarray(picture).quantize(64, octree, dither=Image.Dither.NONE)
 
 
 def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
-    """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
+    """Write `total` frames to a .gif or .mp4 file, showing progress; an error leaves no file."""
     import imageio.v2 as imageio
     from rich.console import Console
     from rich.progress import track
@@ -275,7 +276,7 @@ def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
             timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
             first.save(file, "GIF", save_all=True, append_images=others, **timing)
             return
-        # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
+        # Sizes are even; without this option they would be changed to multiples of 16.
         how: Any = {"format": ".mp4", "fps": FRAMES_A_SECOND, "macro_block_size": 2}
         writer: Any = imageio.get_writer(file, **how)  # pyright: ignore[reportArgumentType]
         with writer:
@@ -289,11 +290,11 @@ def _prepare(path: Path) -> None:
 
 
 class Filmed(NamedTuple):
-    """One episode as the task itself draws it."""
+    """An episode as the task itself renders it."""
 
     frames: Mapping[int, bytes]
-    """PNG files of states by the steps taken before them, of the start and of the end among them:
-    pixels would fill the memory."""
+    """States as PNG files by number of steps taken before, with start and end; raw pixels would
+    fill the memory."""
     costs: NDArray[np.float64]
     """[T]"""
 
@@ -301,10 +302,10 @@ class Filmed(NamedTuple):
 def film_episodes(
     config: TrainConfig, episodes: int, played: Callable[[VectorEnv], Rollout], every: int = 1
 ) -> list[Filmed]:
-    """Episodes of one run as its task draws them.
+    """Film episodes of one run as its task renders them.
 
-    config: of the run alone; played: its episodes in the environments given; every: steps from a
-    frame to the next. Raises UserError for a task without frames.
+    config: reduced to the run; played: plays the episodes in the given environments; every: steps
+    from one frame to the next. Raises UserError for a task without frames.
     """
     [task] = config.tasks
     parameters = config.task_parameters | {"render_mode": "rgb_array"}
@@ -322,8 +323,8 @@ def film_episodes(
 
 
 class _KeepFrames(VectorWrapper):
-    """Keeps a frame of every environment since the last reset of all of them: at the start, every
-    so many steps, and where an episode ends."""
+    """Wrapper that keeps frames of every environment since the last reset of all of them: at the
+    start, at every `every`-th step, and where an episode ends."""
 
     def __init__(self, env: VectorEnv, task: str, every: int) -> None:
         super().__init__(env)
@@ -350,9 +351,9 @@ class _KeepFrames(VectorWrapper):
         try:
             frames = [np.asarray(env.render(), np.uint8) for env in envs.envs]
             return [png(frame, optimize=False, compress_level=1) for frame in frames]
-        except OWN_ERRORS as error:  # of the task's own code
+        except OWN_ERRORS as error:  # raised by the task's own code
             raise _without_frames(self._task, error) from error
 
 
 def _without_frames(task: str, error: BaseException) -> UserError:
-    return UserError(f"task {task!r} gives no frames by render_mode 'rgb_array': {error}")
+    return UserError(f"task {task!r} gives no frames with render_mode 'rgb_array': {error}")

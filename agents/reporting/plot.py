@@ -30,13 +30,13 @@ from emcc.parts import ALPHA
 from emcc.statistics import FEWEST_RUNS
 
 SUFFIXES = (".pdf", ".svg", ".png", ".pgf")
-"""Kinds of files; .pgf, which LaTeX reads as its own drawing, needs xelatex."""
+"""Allowed file formats; .pgf, drawing commands for LaTeX, needs xelatex."""
 ASPECT = 0.78
 """Height of a panel, as a share of its width."""
 
 
 class Plotted(NamedTuple):
-    """A measure along training, with the label of its column of panels."""
+    """A measure along training, and the label of its column of panels."""
 
     label: str
     of: Callable[[Group], Curve]
@@ -48,7 +48,7 @@ MEASURES = {
     "emcc": Plotted("EMCC", running_emcc),
     "length": Plotted("steps of an episode", lambda group: episode_means(group, "length")),
 }
-"""Measures that can be drawn, in the course of training."""
+"""Measures that can be drawn along training."""
 
 
 class Plot(NamedTuple):
@@ -56,11 +56,11 @@ class Plot(NamedTuple):
 
     caption: str
     left_out: list[LeftOut]
-    """Folders and runs that it had to leave out, and why."""
+    """Folders and runs that were left out, and why."""
 
     @property
     def words(self) -> str:
-        """The caption, with what was left out."""
+        """The caption and the notes on what was left out."""
         return " ".join([self.caption, *(f"{note}." for note in self.left_out)])
 
 
@@ -79,7 +79,7 @@ def plot(
     if unknown := [name for name in measures if name not in MEASURES]:
         words = f"measure {unknown[0]!r} cannot be drawn: {nearest(unknown[0], MEASURES)}"
         if unknown[0] in [m.name for m in registered()]:
-            words += "; it is a number of a whole run, which the report's figure of every run has"
+            words += "; it is a number of a whole run: see the report's figure of every run"
         raise UserError(words)
     if not measures:
         raise UserError(f"plot needs a measure: {', '.join(MEASURES)}")
@@ -96,8 +96,8 @@ def plot(
 
 
 def _given(what: str, given: Mapping[str, str] | None, entries: Sequence[str]) -> dict[str, str]:
-    """The values that a user gives for some of the legend's entries. The algorithm's name stands
-    for its curve where it has a single one."""
+    """Return a user's values by entry of the legend. The name of an algorithm with only one curve
+    may stand for the entry. Raises UserError for an unknown name; what: the option's name."""
     found = {}
     for name, value in (given or {}).items():
         called = [entry for entry in entries if entry == name]
@@ -127,7 +127,7 @@ def _draw(
     below = 0.16 * math.ceil(len(shown) / fitting)
     height = len(tasks) * ASPECT * width / len(columns) + below + 0.4
     with drawing(8) as pyplot:
-        # Letters stay text in both formats; journals refuse matplotlib's default in PDF, type 3.
+        # Text stays text in both formats; journals refuse type 3, matplotlib's default in PDF.
         pyplot.rcParams.update({"pdf.fonttype": 42, "svg.fonttype": "none", "axes.linewidth": 0.6})
         figure, axes = pyplot.subplots(
             len(tasks),
@@ -187,7 +187,7 @@ def _save(figure: Any, out: Path) -> None:
 def _caption(tasks: Mapping[str, Sequence[Group]], measures: Sequence[str]) -> str:
     seeds = {len(group.runs) for groups in tasks.values() for group in groups}
     runs = " to ".join(map(str, sorted({min(seeds), max(seeds)})))
-    # Brackets mark intervals in tables alone.
+    # Brackets mark intervals only in tables.
     areas = INTERVALS.translate({ord("["): "", ord("]"): ""})
     areas = "their range" if max(seeds) < FEWEST_RUNS else areas
     words = f"Training's episodes. Lines: mean over {runs} seeds; areas: {areas}."

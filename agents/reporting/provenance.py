@@ -1,4 +1,4 @@
-"""Provenance of the numbers of a report: commands, versions, machines, time."""
+"""Provenance of a report's numbers: commands, versions, machines, time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from agents.training.config import TrainConfig, commit
 
 
 def made(groups: Sequence[Group]) -> dict[str, str]:
-    """All that is needed to make the numbers again, by name.
+    """Return everything needed to reproduce the numbers, by name.
 
-    program: this one, with its commit; command: a line for each folder. Versions, machine and
-    training time are those that the run folders hold, and left out where there are none.
+    program: this package with its commit; command: a line for each folder. Versions, machine and
+    training time are read from the run folders, and left out if these have none.
     """
     folders = [*{own.folder: own for group in groups for own in group.trainings}.values()]
     by_part = [sessions_of(own.path) for own in folders]
@@ -51,25 +51,25 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
 
 
 def program() -> str:
-    """Name, version and, where it is known, commit."""
+    """Return the package's name, version and, if known, commit."""
     words = f"circle2d-mj {version('circle2d-mj')}"
     return f"{words}, commit {known}" if (known := commit()) else words
 
 
 def heading(groups: Sequence[Group]) -> str:
-    """A title that names the runs: their algorithms and tasks."""
+    """Return a title that names the runs' algorithms and tasks."""
     names = list(dict.fromkeys(title(group.config.algorithm) for group in in_order(groups)))
     tasks = list(dict.fromkeys(group.task for group in groups))
     return f"{_few(names, 'algorithms')} on {_few(tasks, 'tasks')}"
 
 
 def _runs(groups: Sequence[Group]) -> int:
-    """How many runs there are, each of which has a group for each of its costs."""
+    """Count the runs once each, although a run is in a group for each of its costs."""
     return sum(len(group.runs) for group in groups if group.is_of_first_cost)
 
 
 def summary(groups: Sequence[Group]) -> str:
-    """One line on the runs: how many, on how many tasks, for how long."""
+    """Return one line on the runs: how many, on how many tasks, for how long."""
     configs = [group.config for group in groups]
     names = {config.algorithm for config in configs}
     settings, lengths = {group.variant for group in groups}, {group.total_steps for group in groups}
@@ -85,13 +85,13 @@ def summary(groups: Sequence[Group]) -> str:
 
 
 def _seeds(seeds: set[int]) -> str:
-    """Numbers as a list, or as a range where there are no gaps."""
+    """Return seeds as a list, or as a range if they have no gaps."""
     low, high = min(seeds), max(seeds)
     return f"{low} to {high}" if len(seeds) == high - low + 1 > 3 else _list(seeds)
 
 
 def _few(names: Sequence[str], many: str) -> str:
-    """Up to five names; more are counted."""
+    """List up to five names; count more."""
     if len(names) > 5:
         return f"{len(names)} {many}"
     *others, last = names
@@ -103,9 +103,9 @@ def _count(number: int, name: str) -> str:
 
 
 def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
-    """The command that trains some runs, with everything that decides their numbers.
+    """Return the command that trains the runs again, with everything that determines their numbers.
 
-    recorded: their `config.json`, which has the modules that register algorithm and tasks.
+    recorded: content of their `config.json`, with the modules that register algorithm and tasks.
     """
     modules = [name for name in recorded.get("modules") or () if name != "__main__"]
     modules = [name for name in modules if not name.startswith("agents.")]  # built in
@@ -124,7 +124,7 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
 
 
 def _typed(name: str, value: Any) -> str:
-    """An option as a shell takes it; what is True or False is a flag."""
+    """Return an option as typed in a shell; bools are flags."""
     option = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{option}" if value else f"--no-{option}"

@@ -1,4 +1,4 @@
-"""The report of trained runs: tables, figures, and one page with all of it."""
+"""The report of trained runs: tables, figures, and one page with everything."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Report(NamedTuple):
     """A report that was written."""
 
     blocks: list[Block]
-    """Its main tables, and the statements of the study's sections."""
+    """The main tables, and the statements of the study's sections."""
     left_out: list[LeftOut]
-    """Folders, runs and pictures that it had to leave out, and why."""
+    """Folders, runs and pictures that were left out, and why."""
     page: Path
-    """`index.html`."""
+    """Path of `index.html`."""
 
 
 def report(
@@ -52,11 +52,11 @@ def report(
     columns: Sequence[str] = LATEX_COLUMNS,
     window: int | None = None,
 ) -> Report:
-    """Write the report of every folder of runs at or below some folders: see `agents.report`.
+    """Write the report of all run folders at or below the given folders: see `agents.report`.
 
-    `report.tex` has the means of the main tables; `report.md` and `index.html` have the details
-    too: EMCC with all ties, and each task's panel. Runs that are left out, figures that cannot be
-    drawn and folders that count as one are named below the last task's table.
+    `report.tex` has the means of the main tables; `report.md` and `index.html` also have details:
+    the study's, numbers recorded at each step, and each task's panel. Notes below the last task's
+    table name runs left out, figures that cannot be drawn, and folders that count as one.
     """
     out = _output_folder(paths, out)
     if archive is not None:
@@ -98,10 +98,10 @@ def report(
 
 
 def table(folder: Path, study: Study | None = None) -> list[Table]:
-    """Write the tables of every folder of runs at or below a folder, without figures.
+    """Write the tables of all run folders at or below a folder, without figures.
 
-    Writes `report.md`, `measures.csv` and `report.csv`, but into no archive, and without the
-    study's sections. Otherwise as `report`.
+    Writes `report.md`, `measures.csv` and `report.csv` without the study's sections; for an archive
+    it writes nothing. Otherwise as `report`.
     """
     notes: list[str] = []
     study = study or Study()
@@ -114,14 +114,14 @@ def table(folder: Path, study: Study | None = None) -> list[Table]:
 
 
 def _write_tables(folder: Path, blocks: Sequence[Block], groups: Sequence[Group]) -> None:
-    """Write `report.md`, of some blocks, and of all groups `measures.csv` and `report.csv`."""
+    """Write `report.md` from the blocks, and `measures.csv` and `report.csv` from the groups."""
     write_whole(folder / "report.md", markdown(blocks))
     write_whole(folder / "measures.csv", measures_csv(groups))
     write_whole(folder / "report.csv", numbers_csv(report_lines(groups)))
 
 
 def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
-    """The folder to write to: see `report`."""
+    """Return the folder to write to: `out`, the only folder, or one named after the archive."""
     if not paths:
         raise UserError("give a folder of runs, or an archive")
     if out is None and len(paths) > 1:
@@ -135,7 +135,7 @@ def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
 
 
 def _check_archive(path: Path) -> None:
-    """Make the folder of a file to be written. Raises UserError where there can be none."""
+    """Create the folder of a file to be written. Raises UserError if that is impossible."""
     check_file(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -153,12 +153,12 @@ class Pictures(NamedTuple):
 
     by_task: dict[str, Section]
     replay: list[Section]
-    """One section, or none where no run can be replayed."""
+    """One section, or none if no run can be replayed."""
     scenes: list[Scene]
 
 
 def _pictures(groups: Sequence[Group], notes: list[str]) -> Pictures:
-    """Learning curves, maps and replay. What cannot be drawn goes into the notes."""
+    """Make learning curves, maps and replay; add notes on what cannot be drawn."""
     scenes = Scenes()
     located = [group for group in groups if group.is_of_first_cost]
     if len(located) < len(groups):
@@ -174,8 +174,8 @@ def _pictures(groups: Sequence[Group], notes: list[str]) -> Pictures:
 
 
 def _figures_together(groups: Sequence[Group]) -> dict[str, list[Figure]]:
-    """Every run with its mean, and what EMCC shows that the cost rate does not, by the title of
-    their sections; nothing where no run is complete."""
+    """Return the figures over all tasks by the title of their section: every run with its mean, and
+    EMCC against the cost rate. Empty if no run is complete."""
     if not any(group.runs for group in groups):
         return {}
     return {
@@ -185,7 +185,7 @@ def _figures_together(groups: Sequence[Group]) -> dict[str, list[Figure]]:
 
 
 def _task_tables(groups: Sequence[Group], study: Study, notes: Sequence[str]) -> dict[str, Table]:
-    """The table of each task; the notes below the last one."""
+    """Return the table of each task, with `notes` below the last one."""
     by_task = _by_task(groups)
     *_, last = by_task
     return {
@@ -195,8 +195,8 @@ def _task_tables(groups: Sequence[Group], study: Study, notes: Sequence[str]) ->
 
 
 def _details(groups: Sequence[Group], notes: list[str]) -> dict[str, Table]:
-    """The numbers recorded at each step, and the panel of cost measures, of each task by title.
-    Numbers that are damaged go into the notes."""
+    """Return each task's tables of numbers recorded at each step and of cost measures, by title;
+    add notes on damaged numbers."""
     recorded, panels = {}, {}
     for task, own in _by_task(groups).items():
         try:

@@ -1,4 +1,4 @@
-"""Additions of a study to the report of runs."""
+"""What a study adds to the report of runs."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ Told = TypeVar("Told")
 
 
 class Study:
-    """A study that adds nothing; a subclass adds its own, such as a paper's numbers."""
+    """A study that adds nothing; subclasses add for example a paper's numbers."""
 
     def printed(self, group: Group) -> Group:
-        """The group with the numbers that it prints for the group's algorithm and task."""
+        """Return the group with the study's published numbers for its algorithm and task."""
         return group
 
     def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
-        """The groups to report as usual, and tables, by title, of the others."""
+        """Return the groups to report as usual, and tables, by title, about the others."""
         return [*groups], {}
 
     def notes(self, groups: Sequence[Group]) -> list[str]:
-        """Notes below the table of a task. groups: the usual ones on it."""
+        """Return notes for below a task's table. groups: the usual ones on the task."""
         return []
 
     def details(self, groups: Sequence[Group]) -> dict[str, Table]:
-        """Tables of details, by title. groups: the usual ones."""
+        """Return tables of details, by title. groups: the usual ones."""
         return {}
 
     def sections(self, groups: Sequence[Group]) -> list[Section]:
-        """Figures, or claims with their verdicts, first on the page. groups: all of them."""
+        """Return sections for the top of the page: figures, or claims and verdicts. groups: all."""
         return []
 
 
 def ask(method: Callable[[Given], Told], given: Given) -> Told:
-    """Return what a method of a study tells. Raises OwnCodeError where it fails."""
+    """Call a method of a study and return its result. Raises OwnCodeError if it fails."""
     try:
         return method(given)
     except UserError:

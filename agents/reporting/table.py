@@ -1,4 +1,4 @@
-"""Tables of typed cells as Markdown and as a terminal's lines; the page's template takes the same
+"""Tables of typed cells, as Markdown, LaTeX and terminal output; the page's template uses the same
 cells."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from emcc.table import LATEX, tabular
 
 MISSING = "\N{EN DASH}"
 LEAST_WIDTH = 40
-"""Characters of the narrowest terminal that tables are laid out for."""
+"""Narrowest terminal, in characters, for which tables are laid out."""
 FLOAT = r"""\begin{{table}}
 \centering
 \caption{{{}}}
@@ -24,46 +24,46 @@ FLOAT = r"""\begin{{table}}
 {}}}
 \end{{table}}
 """
-"""A float of LaTeX: a caption above a tabular that is as wide as a line at most; needs graphicx, as
-the rules need booktabs."""
+"""LaTeX float: a caption above a tabular scaled down to the line width. It needs graphicx, and the
+tabular's rules need booktabs."""
 LATEX_COLUMNS = ("EMCC_0.33", "EMCC_0.99", "cost rate", "J_R", "J_C")
-"""Columns of tables for LaTeX, which fit the width of a text."""
+"""Default columns of LaTeX tables, which fit the width of a text."""
 NARROW, WIDE = 12, 20
-"""Characters to which a terminal's columns of numbers, and those of words, are broken."""
+"""Characters at which a terminal's columns of numbers, and of words, are wrapped."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A cell with a number, its interval and how it is written."""
+    """A cell with a number, its interval and its format."""
 
     value: float | None
-    """None where it is unknown, which is printed as a dash."""
+    """None if unknown, printed as a dash."""
     digits: int = 2
-    """Digits behind the decimal point."""
+    """Digits after the decimal point."""
     low: float | None = None
     high: float | None = None
-    """Ends of the interval or of the range, where there is one."""
+    """Ends of the interval or range, if there is one."""
     is_range: bool = False
-    """Whether they are the lowest and the highest run, and no interval."""
+    """Whether `low` and `high` are the lowest and highest run instead of an interval."""
     total: int | None = None
-    """The number of runs that it is a count of."""
+    """For a count of runs: the number of all runs."""
     is_p: bool = False
-    """Whether it is a p value, which is never written as 0."""
+    """Whether the number is a p value, which is never written as 0."""
     signed: bool = False
-    """Whether positive numbers have a sign too, as differences have."""
+    """Whether positive numbers are written with a sign, as in differences."""
     marked: bool = False
-    """Whether it stands out."""
+    """Whether the number is printed in bold."""
 
     @property
     def text(self) -> str:
-        """The number, without its interval."""
+        """The number without its interval."""
         if self.value is not None and self.total is not None:
             return f"{self.value:.0f} of {self.total}"
         return MISSING if self.value is None else self._written(self.value)
 
     @property
     def interval(self) -> str:
-        """Its interval in brackets, or its range in words; empty without either."""
+        """The interval in brackets, or the range in words; empty without either."""
         if self.low is None or self.high is None:
             return ""
         if self.is_range:
@@ -80,7 +80,7 @@ class Number:
 
 
 def number(mean: Interval | None, digits: int = 2, signed: bool = False) -> Number:
-    """The cell of a mean, or of a difference, which is signed."""
+    """Return the cell of a mean; signed: of a difference."""
     if mean is None:
         return Number(None)
     is_range = mean.kind == "range"
@@ -88,22 +88,22 @@ def number(mean: Interval | None, digits: int = 2, signed: bool = False) -> Numb
 
 
 def p_number(p: float | None) -> Number:
-    """The cell of a p value."""
+    """Return the cell of a p value."""
     return Number(p, 3, is_p=True)
 
 
 def p_head(tests: int) -> str:
-    """The name of p values that are corrected for so many tests by Holm's method."""
+    """Return the heading of p values that are corrected for `tests` tests by Holm's method."""
     return f"p, corrected for {tests} (Holm)" if tests > 1 else "p"
 
 
 def corrected(tests: int, where: str) -> str:
-    """The correction in words, behind the name of a test; empty for a test alone."""
+    """Return the correction in words, to follow a test's name; empty for a single test."""
     return f", corrected for the {tests} comparisons {where} (Holm)" if tests > 1 else ""
 
 
 def count(share: Share | None) -> Number:
-    """The cell of a share of runs."""
+    """Return the cell of a share of runs: a count with its interval."""
     if share is None:
         return Number(None)
     return Number(share.count, low=share.low, high=share.high, total=share.runs)
@@ -114,7 +114,7 @@ Cell = str | Number
 
 @dataclass(frozen=True)
 class Row:
-    """Cells of a table: a name, numbers, and where runs end."""
+    """A row of a table: a name, numbers, and where runs end."""
 
     name: str
     numbers: Sequence[Number]
@@ -123,40 +123,42 @@ class Row:
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """All of them, in order."""
+        """All cells in order."""
         return (self.name, *self.numbers, self.ends)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows below a head, with a caption above and notes below."""
+    """Rows below a heading, with a caption above and notes below."""
 
     caption: str
     head: Sequence[str]
     rows: Sequence[Row]
     notes: Sequence[str] = ()
     marking: str = ""
-    """The meaning of a mark."""
+    """What a mark (bold) means."""
     details: Collection[str] = ()
-    """Heads of columns that a terminal leaves out."""
+    """Headings of columns that a terminal leaves out."""
     in_paper: str = ""
-    """The caption in LaTeX, which has no runs and fewer columns; by default the legend."""
+    """Caption in LaTeX, where the table has no runs and fewer columns; by default `caption`."""
 
     @property
     def columns(self) -> int:
-        """Columns shown: the last one, where runs end, only where a run's task has places."""
+        """Number of columns shown; the last one, where runs end, needs a task with places."""
         without = max((1 + len(row.numbers) for row in self.rows), default=len(self.head))
         return without + any(row.ends for row in self.rows)
 
     @property
     def legend(self) -> str:
-        """The caption, and the meaning of a mark where there are marks."""
+        """The caption and, if some cell is marked, what marks mean."""
         marked = any(cell.marked for row in self.rows for cell in row.numbers)
         return self.caption + (f"; bold: {self.marking}" if marked and self.marking else "")
 
     def brief(self) -> Table:
-        """The means without intervals, details, legend and notes, a number of runs that all have in
-        common in the head; all rows of a table without means."""
+        """Return a short table: means without intervals, details, legend and notes.
+
+        A number of runs that all means share moves to the heading. A table without means keeps all
+        its rows."""
         found = [_SIZE.search(row.name) for row in self.rows if row.kind == "mean"]
         sizes = {size and size[1] for size in found}
         common = sizes.pop() if len(sizes) == 1 else None
@@ -171,7 +173,7 @@ class Table:
         return Table("", [first + (f", n = {common}" if common else ""), *others], rows)
 
     def markdown(self) -> str:
-        """The legend, the rows, and a paragraph for each note."""
+        """Return Markdown: the legend, the rows, and a paragraph for each note."""
         head, rows = map(plain, self.head), (map(_markdown, row.cells) for row in self.rows)
         head, *rows = (list(cells)[: self.columns] for cells in (head, *rows))
         notes = [part for note in self.notes for part in ("", f"Note: {plain(note)}")]
@@ -179,11 +181,11 @@ class Table:
         return "\n".join([*legend, markdown_rows(head, rows), *notes, ""])
 
     def latex(self, columns: Collection[str] = LATEX_COLUMNS) -> str:
-        """The means above their intervals, and the paper's numbers, as a table with a caption and
-        the rules of booktabs; all rows of a table without means. Legend and notes are comments.
+        """Return LaTeX: means above their intervals, and published numbers, with a caption and the
+        rules of booktabs. A table without means keeps all rows. Legend and notes are comments.
 
-        columns: heads of those shown beside the name; of a table that has none of them all but the
-        details.
+        columns: headings of the columns to show after the name. A table with none of these shows
+        all columns but the details.
         """
         rows = [row for row in self.rows if row.kind in ("mean", "paper")] or self.rows
         shown = [k for k, head in enumerate(self.head[: self.columns]) if k and head in columns]
@@ -210,7 +212,7 @@ class Table:
 
 
 _INTERVAL = re.compile(r" \[[^\]]*\]")
-"""Intervals in words."""
+"""Intervals in a row's last cell, where runs end."""
 _SIZE = re.compile(r", mean of (\d+)$")
 """The number of runs, at the end of a mean's name."""
 Block = Table | str
@@ -218,14 +220,14 @@ Block = Table | str
 
 
 def markdown(blocks: Iterable[Block]) -> str:
-    """The parts of a report as Markdown; a legend that the table before has too stands once."""
+    """Return a report's blocks as Markdown, without legends that repeat the previous table's."""
     shown = without_repeats(blocks)
     return "\n".join(block if isinstance(block, str) else block.markdown() for block in shown)
 
 
 def latex(tables: Mapping[str, Table], columns: Collection[str] = LATEX_COLUMNS) -> str:
-    """Tables for LaTeX, each below its name as a comment; columns: see `Table.latex`. Raises
-    UserError for a column that none of them has."""
+    """Return tables as LaTeX, each below its name as a comment; columns: see `Table.latex`. Raises
+    UserError for a column that no table has."""
     heads = dict.fromkeys(head for table in tables.values() for head in table.head[1:])
     for column in columns:
         if columns != LATEX_COLUMNS and column not in heads:
@@ -235,7 +237,7 @@ def latex(tables: Mapping[str, Table], columns: Collection[str] = LATEX_COLUMNS)
 
 
 def without_repeats(blocks: Iterable[Block]) -> Iterator[Block]:
-    """The blocks, of a table whose legend is that of the table before without it."""
+    """Yield the blocks, without the legend of a table if it repeats the previous table's."""
     before = None
     for block in blocks:
         if isinstance(block, str):
@@ -247,13 +249,13 @@ def without_repeats(blocks: Iterable[Block]) -> Iterator[Block]:
 
 
 def plain(text: str) -> str:
-    """Text that is no HTML in Markdown and no control sequence on a terminal: names come from
-    other people's files."""
+    """Escape text for Markdown and terminals. Names come from other people's files, so HTML and
+    control sequences are neutralised."""
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", one_line(text))
 
 
 def markdown_rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Cells of Markdown as a table, without a newline at its end."""
+    """Lay out cells of Markdown as a table, without a final newline."""
     lines = [head, ["---"] * len(head), *rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     padded = ([*map(str.ljust, line, widths)] for line in lines)
@@ -269,7 +271,7 @@ def _markdown(cell: Cell) -> str:
 
 
 def _latex(cell: Cell) -> str:
-    """A cell of LaTeX, a number without its interval."""
+    """Return a cell as LaTeX, without the interval of a number."""
     if isinstance(cell, str):
         return one_line(cell).translate(LATEX)
     text = _minus(cell.text)
@@ -277,7 +279,7 @@ def _latex(cell: Cell) -> str:
 
 
 def _latex_symbol(head: str) -> str:
-    """The head of a column; J_R and EMCC_0.33 have their index below the line, as in a text."""
+    """Return a column's heading as LaTeX, where J_R and EMCC_0.33 have subscripts."""
     symbol = re.fullmatch(r"([A-Za-z]+)_([A-Z]|[\d.]+)", head)
     if symbol is None:
         return _latex(head)
@@ -286,14 +288,14 @@ def _latex_symbol(head: str) -> str:
 
 
 def _latex_words(text: str) -> str:
-    """Sentences, with the symbols of columns in them."""
+    """Return sentences as LaTeX, with columns' names in them as symbols."""
     symbol = r"\b([A-Za-z]+_(?:[A-Z]\b|\d\.\d+))"
-    parts = re.split(symbol, one_line(text))  # in turn words and symbols
+    parts = re.split(symbol, one_line(text))  # alternating words and symbols
     return "".join(_latex_symbol(part) if k % 2 else _latex(part) for k, part in enumerate(parts))
 
 
 def _latex_interval(cell: Cell) -> str:
-    """The interval below a number in brackets, or its range in parentheses; empty without."""
+    """Return a cell's interval in brackets, or its range in parentheses; empty without either."""
     if isinstance(cell, str) or not cell.interval:
         return ""
     words = cell.interval
@@ -311,11 +313,11 @@ def _minus(words: str) -> str:
 
 
 def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> None:
-    """Print the blocks of a report: laid out on a terminal, or where a width is given; as Markdown
-    into a file or a pipe, for programs.
+    """Print the blocks of a report: laid out for a terminal or a given width, otherwise, to a file
+    or pipe, as Markdown.
 
-    width: characters of a line, by default the terminal's. more: place of the whole tables, where
-    a terminal is to have the means alone.
+    width: characters of a line, by default the terminal's. more: where the full tables are; if
+    given, a terminal shows only the means.
     """
     from rich.console import Console
 
@@ -333,14 +335,14 @@ def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> N
 
 
 def working(on: str) -> contextlib.AbstractContextManager[object]:
-    """Show on a terminal that work goes on whose end cannot be foreseen."""
+    """Show a spinner on a terminal, for work of unknown duration."""
     from rich.console import Console
 
     return Console(stderr=True).status(on)
 
 
 def _laid_out(block: Block, width: int) -> Iterator[Any]:
-    """Paragraphs, and the parts of a table that fit the width."""
+    """Yield what `rich` prints: paragraphs, and the parts of a table that fit the width."""
     from rich import box
     from rich.markdown import Markdown
     from rich.table import Table as Grid
@@ -365,14 +367,14 @@ class Column(NamedTuple):
     """A column of a terminal's table."""
 
     cells: list[Any]
-    """Cells as `rich.text.Text`, the head first."""
+    """Cells as `rich.text.Text`, the heading first."""
     width: int
-    """Characters of a line, in which every word has room."""
+    """Width in characters; every word fits."""
 
 
 def parts(table: Table, width: int) -> list[list[Column]]:
-    """Divide the columns of a table so that each part fits the width; every part begins with the
-    first column. A column that alone is wider than the width gets a part of its own."""
+    """Divide a table's columns into parts that fit the width; each begins with the first column.
+    A column wider than the whole width gets a part of its own."""
     most = max(width * 2 // 5, 16)
     first = (table.head[0], *(row.name for row in table.rows))
     names = _column([_name(plain(name), most) for name in first], most)
@@ -392,14 +394,14 @@ def parts(table: Table, width: int) -> list[list[Column]]:
 
 
 def _name(name: str, width: int) -> str:
-    """The name of a row; of one that is too long what follows the last comma has its own line."""
+    """Return a row's name; if it is too long, what follows its last comma is on a second line."""
     first, comma, last = name.rpartition(", ")
     return name if len(name) <= width or not comma else f"{first},\n{last}"
 
 
 def _column(cells: Sequence[Cell], most: int) -> Column:
-    """A column of at most so many characters, unless a word is longer. Intervals stand below their
-    number."""
+    """Lay out a column in at most `most` characters, unless a word is longer. Intervals are printed
+    below their number."""
     from rich.text import Text
 
     lines = [

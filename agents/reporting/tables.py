@@ -1,5 +1,5 @@
-"""The tables of a report on each task: its measures, the panel of costs, and numbers recorded at
-each step."""
+"""The tables of a report on each task: its measures, the panel of cost measures, and numbers
+recorded at each step."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def task_table(groups: Sequence[Group], notes: Sequence[str] = ()) -> Table:
-    """One task: for each algorithm the means above the printed numbers, then every run.
+    """Return the table of one task: the means and published numbers by algorithm, then every run.
 
-    What is best among the means, and among the printed numbers, is marked: see `best`.
+    The best of the means, and the best of the published numbers, are marked: see `best`.
     """
     task, groups = groups[0].task, in_order(groups)
     rows: list[Row] = []
-    ours: dict[str, dict[int, Candidate]] = {}  # by cost: those of one policy are no rivals
+    ours: dict[str, dict[int, Candidate]] = {}  # by cost: costs of one policy do not compete
     others = {}
     for name in dict.fromkeys(group.config.algorithm for group in groups):
         same = [group for group in groups if group.config.algorithm == name]
@@ -87,10 +87,10 @@ def measures_table(
     marking: str = "",
     lengths: bool = False,
 ) -> Table:
-    """A table of rows of a name (headed by `first`), each measure, the runs within the cost limit,
-    the length of evaluated episodes, and where runs end.
+    """Return a table with the columns: name (headed by `first`), each measure, runs that satisfy
+    the cost limit, length of evaluated episodes, and where runs end.
 
-    lengths: whether that length is shown; where all are equal it says nothing.
+    lengths: whether to show the length, which says nothing if all are equal.
     """
     head = [first, *(m.head for m in measures()), "within limit", "length (steps)", "ends in"]
     if lengths:
@@ -102,7 +102,7 @@ def measures_table(
 
 
 def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:
-    """The rows with some measures marked: pairs of a row's place and a measure's name."""
+    """Return the rows with some cells marked; marked: pairs of row index and measure name."""
     names = [*(m.name for m in measures()), "", ""]
     return [
         replace(
@@ -117,7 +117,7 @@ def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:
 
 
 def caption(groups: Sequence[Group]) -> str:
-    """Definitions of the numbers of a table."""
+    """Return the definitions of a table's numbers."""
     notes = "".join(f"{m.note}; " for m in measures() if m.note)
     if any(run.ways for group in groups for run in group.runs):
         notes += (
@@ -135,7 +135,7 @@ def caption(groups: Sequence[Group]) -> str:
 
 
 def caption_in_paper(groups: Sequence[Group]) -> str:
-    """Definitions of the means of a table and of what stands below them in LaTeX; empty where no
+    """Return the LaTeX caption, which defines the means and the intervals below them; empty if no
     run is complete."""
     groups = [group for group in groups if group.runs]
     if not groups:
@@ -151,46 +151,46 @@ def caption_in_paper(groups: Sequence[Group]) -> str:
         kinds = [f"fewer than {FEWEST_RUNS} seeds"] * few
         kinds += ["seeds that end in different places"] * (not all(enough))
         words += f" or, of {' and of '.join(kinds)}," * any(enough) + " (lowest, highest)"
-    if len(steps := {group.total_steps for group in groups}) == 1:  # else names have them
+    if len(steps := {group.total_steps for group in groups}) == 1:  # otherwise names have them
         words += f"; trainings of {steps.pop():,} steps"
     words += f"; EMCC: thirds of training, α = {_emcc(groups)}; J_R, J_C: {_evaluated_by(groups)}"
     return words + f"; cost limit {' or '.join(f'{d:g}' for d in limits)}" * bool(limits)
 
 
 def _emcc(groups: Sequence[Group]) -> str:
-    """How EMCC is taken: its share, ties and windows."""
+    """Return in words how EMCC is computed: alpha, ties and windows."""
     windows = {window_words(run.window, None) for group in groups for run in group.runs}
     return ", ".join(filter(None, (f"{ALPHA:g}", f"ties {TIES[0]}", *windows)))
 
 
 def _evaluated_by(groups: Sequence[Group]) -> str:
-    """How J_R and J_C are taken."""
+    """Return in words how J_R and J_C are computed."""
     episodes = sorted({run.episodes for group in groups for run in group.runs})
     number_of = " or ".join(map(str, episodes)) or "no"
     return f"undiscounted, deterministic policy, {number_of} episodes"
 
 
 def means(group: Group) -> dict[str, float | None]:
-    """The mean of each measure; None where a run lacks it."""
+    """Return the mean of each measure; None if a run lacks it."""
     several = {m.name: group_mean(group, m.name) for m in measures()}
     return {name: mean and mean.value for name, mean in several.items()}
 
 
 def within(group: Group) -> bool | None:
-    """Whether all runs of a group keep its cost limit; None where that is not known."""
+    """Whether all runs of a group satisfy the cost limit; None if unknown."""
     share = within_limit(group)
     return share and share.count == share.runs
 
 
 def _keeps_all(group: Group, groups: Sequence[Group]) -> bool | None:
-    """Whether all runs of a group keep the limits of all of its training's costs, as `within`."""
+    """Whether all runs of a training satisfy the limits of all its costs; None if unknown."""
     kept = [within(other) for other in groups if other.folder == group.folder]
     known = [of_cost for of_cost in kept if of_cost is not None]
     return all(known) if known else None
 
 
 def mean_row(group: Group, name: str) -> Row:
-    """The row of the means of a group, with their intervals over seeds, and of its shares."""
+    """Return the row of a group's means with their intervals over seeds, and of its shares."""
     cells = [number(group_mean(group, m.name), m.digits) for m in measures()]
     ends = "; ".join(f"{place} {count(share)}" for place, share in places(group).items())
     name = f"{name}, mean of {len(group.runs)}"
@@ -199,13 +199,13 @@ def mean_row(group: Group, name: str) -> Row:
 
 
 def printed_row(name: str, group: Group) -> Row:
-    """The row of the numbers that are printed for a group."""
+    """Return the row of the published numbers for a group."""
     cells = [Number(group.printed.get(m.name), m.digits) for m in measures()]
     return Row(f"{name}, {group.publication}", [*cells, Number(None), Number(None)], kind="paper")
 
 
 def _printed_within(group: Group) -> bool | None:
-    """Whether the printed J_C is within the preset's limit; None where that is not known."""
+    """Whether the published J_C satisfies the preset's limit; None if unknown."""
     known = group.config.algorithm in ALGORITHMS
     limit = (
         getattr(preset(group.config.algorithm, group.task), "cost_limit", None) if known else None
@@ -215,7 +215,7 @@ def _printed_within(group: Group) -> bool | None:
 
 
 def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
-    """A row for each run of a group."""
+    """Yield a row for each run of a group."""
     for run in group.runs:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
         share = within_limit(replace(group, runs=[run]))
@@ -231,10 +231,10 @@ def difference_rows(
     more_digits: int = 0,
     beside: Sequence[Number] = (),
 ) -> list[Row]:
-    """The rows of B - A of some measures, of its p values, and of P(B better).
+    """Return three rows over measures: B - A, the p values, and P(B better).
 
-    told: with p values corrected for so many tests; more_digits: than means have; beside: further
-    cells of each row.
+    told: the differences, with p values corrected for `tests` tests; more_digits: in addition to
+    those of means; beside: further cells for each row.
     """
     both = [(m, told[m.name]) for m in columns]
     gaps = [number(d.gap, m.digits + more_digits, signed=True) for m, d in both]
@@ -246,8 +246,8 @@ def difference_rows(
 
 
 def ends_words(run: RunResult) -> str:
-    """Place where most evaluated episodes of a run end, with their share unless all do, and the way
-    by which they came, where it is known."""
+    """Return the place where most evaluated episodes of a run end, with the share of episodes
+    unless all end there, and the way to the place if known."""
     total = sum(run.ends.values())
     shares = [f"{100 * run.ends[run.end] / total:.0f} %"] if len(run.ends) > 1 else []
     ways = run.ways.get(run.end, {})
@@ -258,7 +258,7 @@ def ends_words(run: RunResult) -> str:
 
 
 def _limited(groups: Sequence[Group]) -> list[str]:
-    """The costs that the algorithms' limits hold for, where they differ."""
+    """Return a note on which costs the algorithms limit, if these differ."""
     names: dict[str, dict[str, None]] = {}
     for config in (group.config for group in groups):
         if words := getattr(config.hyperparameters, "limited_cost", ""):
@@ -270,7 +270,7 @@ def _limited(groups: Sequence[Group]) -> list[str]:
 
 
 def _few_rollouts(groups: Sequence[Group]) -> list[str]:
-    """Note where a third has so few rollouts that the highest share alpha is one of them."""
+    """Return a note if a third has fewer than 1 / alpha rollouts, so that EMCC is one MCC."""
     thirds = [third for group in groups for run in group.runs for third in run.thirds.values()]
     fewest = min((np.unique(third.rollout).size for third in thirds if len(third)), default=0)
     if not 0 < fewest * ALPHA < 1:
@@ -282,8 +282,8 @@ def _few_rollouts(groups: Sequence[Group]) -> list[str]:
 
 
 def _records(groups: Sequence[Group]) -> list[str]:
-    """The meaning of the rows of record costs (`agents.lockstep.streaks`), and the groups whose
-    limit of the longest streak holds for its tail."""
+    """Return notes on rows of record costs (`agents.lockstep.streaks`), and on groups that limit a
+    CVaR of the longest streak."""
     own = [group for group in groups if group.cost not in group.config.task_costs]
     alphas = ((g, getattr(g.config.hyperparameters, "streak_alpha", 1.0)) for g in own)
     return [
@@ -300,8 +300,8 @@ def _records(groups: Sequence[Group]) -> list[str]:
 
 
 def lengths_differ(groups: Iterable[Group]) -> bool:
-    """Whether not all episodes of some groups are of one length, in training and evaluation: one
-    that ends early may be within its cost limit for that alone."""
+    """Whether episodes, in training or evaluation, differ in length. An episode that ends early may
+    satisfy the cost limit for that reason alone."""
     lengths: set[float] = set()
     for run in (run for group in groups for run in group.runs):
         lengths |= {*run.records.length.tolist()}
@@ -310,7 +310,7 @@ def lengths_differ(groups: Iterable[Group]) -> bool:
 
 
 def long_settings(groups: Iterable[Group]) -> list[str]:
-    """The values that names only count: see `frame.setting`."""
+    """Return notes with the values that are too long for names: see `names.setting`."""
     told = {
         (name, repr(value)): group
         for group in groups
@@ -321,7 +321,7 @@ def long_settings(groups: Iterable[Group]) -> list[str]:
 
 
 def unequal_lengths(groups: Sequence[Group]) -> list[str]:
-    """The shortest and the longest training, where they are not of one length."""
+    """Return a note on the shortest and longest training, if their lengths differ."""
     taken = sorted((run.total_steps, group.name) for group in groups for run in group.runs)
     if not taken or told_steps(taken[0][0], [taken[-1][0]]) == taken[0][0]:
         return []
@@ -331,7 +331,7 @@ def unequal_lengths(groups: Sequence[Group]) -> list[str]:
 
 
 def _random(groups: Sequence[Group]) -> list[str]:
-    """The groups of which all training was of random actions."""
+    """Return notes on groups whose training had only random actions."""
     return [
         f"{group.name}: all its training's actions are random (random_steps)."
         for group in groups
@@ -340,16 +340,16 @@ def _random(groups: Sequence[Group]) -> list[str]:
 
 
 Candidate = tuple[Mapping[str, float | None], bool | None]
-"""Measures by name, and whether they are within the cost limit (None: not known)."""
+"""Measures by name, and whether they satisfy the cost limit (None: unknown)."""
 
 
 def best(candidates: Mapping[Key, Candidate]) -> set[tuple[Key, str]]:
-    """The best measures of some candidates.
+    """Return the pairs of candidate and measure to mark as best.
 
-    For a measure of training the best is the lowest, or the highest where that is better. The
-    trained policy's measures are best, whatever their values, of the candidates that have the
-    highest J_R among those within their limit. Values are compared to the digits that are printed,
-    so that equal ones are marked together; a single value is not marked. Source: caption of table
+    For a measure of training, the best candidate has the lowest value, or the highest where that is
+    better. For measures of the trained policy, whatever their values, the best candidate has the
+    highest J_R of those that satisfy their limit. Values are compared as printed, so that equal
+    ones are marked together; a single value is not marked. Source: caption of table
     Circle2DResults.
     """
     marked: set[tuple[Key, str]] = set()
@@ -369,13 +369,13 @@ def best(candidates: Mapping[Key, Candidate]) -> set[tuple[Key, str]]:
 
 
 def _rounded(candidates: Mapping[Key, Candidate], m: Measure) -> dict[Key, float]:
-    """The measure of each candidate that has it, as it is printed."""
+    """Return a measure's value, rounded as printed, for each candidate that has it."""
     values = {key: candidate[0].get(m.name) for key, candidate in candidates.items()}
     return {key: round(v, m.digits) for key, v in values.items() if v is not None}
 
 
 def marking() -> str:
-    """The rule of `best` in words."""
+    """Return the rule of `best` in words."""
     rules = [
         f"the {rule} {_list(chosen)}"
         for rule, better in (("lowest", "lower"), ("highest", "higher"))
@@ -388,24 +388,24 @@ def marking() -> str:
 
 
 def _list(chosen: Iterable[Measure]) -> str:
-    """Words of measures: A, B and C."""
+    """Return the measures' names in sentences, like "A, B and C"."""
     *first, last = dict.fromkeys(m.word or m.title for m in chosen)
     return f"{', '.join(first)} and {last}" if first else last
 
 
 OF_POLICIES = ("cost_rate", "cvar", "p95", "maximum")
 OF_POLICIES = (*OF_POLICIES, "violation_rate", "severity", "severity_of_violations")
-"""Fields of `CostMeasures` that are shown for the episodes of the final policies too."""
+"""Fields of `CostMeasures` that are also shown for the final policies' episodes."""
 POLICIES = {"stochastic": "policy with its noise", "deterministic": "policy without noise"}
 """Final policies, in the words of the rows."""
 
 
 def panel_table(groups: Sequence[Group]) -> Table:
-    """EMCC beside the measures of cost that other papers report: a row for each measure, a column
-    for each algorithm, means over its runs.
+    """Return the panel: EMCC next to the cost measures of other papers, as means over runs, with a
+    row for each measure and a column for each algorithm.
 
-    groups: of one task, at least one with a run. Each is measured by its own cost limit; one
-    without by that of the others on the same cost, where they have one.
+    groups: of one task, at least one with a run. Each uses its own cost limit; a group without one
+    uses the limit that the other groups with the same cost share, if any.
     """
     groups = [group for group in in_order(groups) if group.runs]
     usual = {a.cost: common_limit([b for b in groups if b.cost == a.cost]) for a in groups}
@@ -452,7 +452,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
 
 
 def _evaluated(run: RunResult, policy: str, limit: float | None) -> CostMeasures | None:
-    """Measures of the evaluated episodes of a run; None where the run lacks them."""
+    """Return the cost measures of a run's evaluated episodes; None if the run has none."""
     evaluated = run.evaluation.get(policy, {})
     cost, length = (np.array(evaluated.get(name, [])) for name in ("cost_returns", "lengths"))
     if not cost.size or cost.shape != length.shape:
@@ -473,11 +473,11 @@ HEAD_OF_RECORDED = ("steps above 0", "median", "90 %", "max", "EMCC above 0")
 
 
 def recorded_table(groups: Sequence[Group]) -> Table | None:
-    """Numbers recorded at each step, by third of training: how many steps are above 0, how
-    much it is there, to three digits, and EMCC of the steps above a threshold. None where nothing
-    is recorded.
+    """Return the table of numbers recorded at each step, by third of training.
 
-    groups: of one task. The threshold is the median of all values above 0, to two digits.
+    It shows the share of steps above 0, their values to three digits, and EMCC of the steps above a
+    threshold: the median of all values above 0, to two digits. None if nothing is recorded. groups:
+    of one task.
     """
     groups = [group for group in in_order(groups) if group.runs and group.recorded]
     rows, words = [], []
@@ -503,7 +503,7 @@ def recorded_table(groups: Sequence[Group]) -> Table | None:
 def _recorded_rows(
     group: Group, runs: Sequence[Recorded], words: str, threshold: float
 ) -> Iterator[Row]:
-    """A row for each third."""
+    """Yield a row for each third."""
     streaks = [[run.emcc_above(limit) for run in runs] for limit in (0.0, threshold)]
     for k, part in enumerate(PARTS):
         above = np.concatenate([run.above_0(k) for run in runs])

@@ -13,14 +13,14 @@
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const count = (number) => number.toLocaleString("en-US");
 
-  // Number of the steps that are drawn of an episode: the rule of maps.shown_states.
+  // Indices of an episode's steps that are drawn, by the rule of derive.shown_states.
   function shownStates(length) {
     const every = Math.ceil(length / STATES), shown = [];
     for (let k = 0; k < length - 1; k += every) shown.push(k);
     return [...shown, length - 1];
   }
 
-  // First step and length of the longest chain of cost steps, the first of equal ones.
+  // First step and length of the longest streak of cost steps; of equal ones, the first.
   function longestChain(unsafe) {
     let best = { start: 0, length: 0 }, length = 0;
     unsafe.forEach((cost, k) => {
@@ -30,7 +30,7 @@
     return best;
   }
 
-  // Read numbers of a few bits each, the highest bit first.
+  // Read numbers of a given number of bits, the highest bit first.
   function bitReader(text) {
     const read = bytes(text);
     let at = 0;
@@ -41,7 +41,7 @@
     };
   }
 
-  // All episodes of a run: points in the picture's units, whether each step cost, longest chain.
+  // All episodes of a run: points in the picture's units, whether each step cost, longest streak.
   function decoded(run) {
     const point = bitReader(run.points), cost = bitReader(run.unsafe), last = 2 ** data.bits - 1;
     const [left, right, bottom, top] = data.extents[run.scene], [x0, y0, x1, y1] = run.box;
@@ -155,7 +155,7 @@
     show();
   }
 
-  // Fill a menu with [value, text] pairs; what was chosen stays where it is there.
+  // Fill a menu with [value, text] pairs; keep the chosen value if it is among them.
   function fill(menu, pairs) {
     const last = menu.selectedOptions[0]?.textContent;
     menu.replaceChildren(...pairs.map(([value, text]) => new Option(text, value)));

@@ -107,11 +107,11 @@ def test_runs_too_few_for_a_test_are_named(tmp_path):
         tests = sum(cell not in ("", "–") for cell in rows(words)["p"])
         p = float(rows(words)["p"][4])
         assert p == pytest.approx(min(1, tests / ways), abs=0.001)
-        assert f"of 3 runs against {runs} no p here can be below {tests / ways:.3g}, " in words
+        assert f"with 3 runs against {runs}, no p here can be below {tests / ways:.3g}, " in words
     sides = [tmp_path / name for name in "cd"]
     for side, j in zip(sides, (-1.0, -9.0), strict=True):
         write_runs(side, "cpo", [j - x / 10 for x in range(6)])
-    assert "they decide nothing" not in markdown(compare(*sides))
+    assert "tests decide nothing" not in markdown(compare(*sides))
 
 
 def test_over_tasks_few_runs_decide(tmp_path):

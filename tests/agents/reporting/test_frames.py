@@ -85,8 +85,8 @@ def test_a_long_episode_is_shown_in_two_hundred_pictures(tmp_path):
     [
         ("Drawn --camera side --frames mujoco", "x.gif", "camera is for Circle2DMuJoCo-0-v0, "),
         ("Drawn", "x.png", "offers no view to draw whole episodes on: give --out a film"),
-        ("Undrawn", "x.gif", "'UndrawnFilm-v0' gives no frames by .*'NoneType'"),
-        ("Walk", "x.gif", "'WalkFilm-v0' gives no frames by .*'render_mode'"),
+        ("Undrawn", "x.gif", "'UndrawnFilm-v0' gives no frames with .*'NoneType'"),
+        ("Walk", "x.gif", "'WalkFilm-v0' gives no frames with .*'render_mode'"),
     ],
 )
 def test_a_task_that_cannot_be_filmed(walks, tmp_path, capsys, folder, out, message):
