@@ -1,4 +1,4 @@
-"""The paper's claims, each with the rule that decides it, checked against trained runs."""
+"""The paper's claims, each with a rule that decides it, and their check against trained runs."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
 
 
 def in_corridor(run: RunResult) -> bool:
-    """Whether a run's evaluated episodes end in the left corridor more often than elsewhere."""
+    """Whether most of a run's evaluated episodes end in the left corridor, of all places."""
     return run.end == "corridor"
 
 
 def within(run: RunResult) -> bool:
-    """Whether a run keeps the cost limit of Circle2D in its evaluation."""
+    """Whether a run satisfies the cost limit of Circle2D in its evaluation."""
     cost = run.measures["J_C"]
     return cost is not None and cost <= LIMIT
 
@@ -140,7 +140,9 @@ def _runs_that(
     does: Callable[[RunResult], bool],
     parts: int,
 ) -> Finding:
-    """Whether each algorithm has runs that end in the corridor, or none has (the rule)."""
+    """Judge whether each algorithm has runs that do something, or whether none has.
+
+    rule: `some` or `none`; does: whether a run does it: `in_corridor` or `_safely`."""
     cells = [evidence[task, name] for name in names]
     verdict = all_of(cell.judged(rule, does, parts) for cell in cells)
     facts = ", ".join(fact for cell in cells for fact in cell.share(does, cell.title, ""))
@@ -167,7 +169,7 @@ def _settled(run: RunResult) -> bool:
 
 
 def _later_cost(run: RunResult) -> float:
-    """Mean cost return of the episodes that start after the first third of training."""
+    """Return the mean cost of the episodes that start after the first third of training."""
     later = 3 * run.records.start_step >= run.records.total_steps
     return float(run.records.cost[later].mean())
 
@@ -183,11 +185,12 @@ LOW_COST = Claim(
 
 ON_POLICY = ("trpo-lag", "cpo")
 RATE_MARGIN, EMCC_MARGIN = MARGIN, 0.05
-"""Differences of means up to which two cost rates, or two EMCC, are taken as equal."""
+"""Margins of the equivalence tests: differences of mean cost rates and mean EMCC that count as
+none."""
 
 
 def _trend(evidence: Evidence) -> list[Finding]:
-    """A finding for each algorithm, over all tasks."""
+    """Return a finding for each algorithm, over all tasks."""
     findings, parts = [], len(PAPER_STEPS) * len(PAPER_ALGORITHMS)
     for name in PAPER_ALGORITHMS:
         cells = [evidence[task, name] for task in PAPER_STEPS]
@@ -259,7 +262,7 @@ EQUAL_RATES = Claim(
 
 
 def _below(a: Cell, b: Cell, of: Value, parts: int) -> tuple[Verdict, list[str]]:
-    """Whether the mean over the runs of a is below that over those of b, and the difference."""
+    """Judge whether the mean of a is below the mean of b; return the difference in words too."""
     sides = a.values(of), b.values(of)
     verdict = "undecided" if a.lacking or b.lacking else lower(*sides, parts)
     return verdict, difference_in_words(a, b, of, [("p", p_of(*sides))])
@@ -275,14 +278,14 @@ def _lowest_late(evidence: Evidence) -> list[Finding]:
 
 
 def _each_below(parts: Sequence[tuple[str, Sequence[tuple[Cell, Cell]], Value]]) -> list[Finding]:
-    """A finding for each group of comparisons: its name, pairs of which the first has the lower
-    mean, and of what. The claim has as many parts as pairs."""
+    """Return a finding for each part: a name, pairs of cells of which the first is claimed to have
+    the lower mean, and the value compared. The claim counts as many parts as there are pairs."""
     count = sum(len(pairs) for _, pairs, _ in parts)
     return [_all_below(name, pairs, of, count) for name, pairs, of in parts]
 
 
 def _all_below(name: str, pairs: Sequence[tuple[Cell, Cell]], of: Value, parts: int) -> Finding:
-    """Whether the first cell of each pair has the lower mean, and the differences."""
+    """Judge whether the first cell of each pair has the lower mean; report the differences."""
     verdicts, facts = zip(*(_below(low, high, of, parts) for low, high in pairs), strict=True)
     cells = {(cell.task, cell.algorithm): cell for pair in pairs for cell in pair}
     return finding(name, all_of(verdicts), [*cells.values()], [*itertools.chain(*facts)])
@@ -378,7 +381,7 @@ def _short_episodes(evidence: Evidence) -> list[Finding]:
 
 
 def _early_mean(column: str, run: RunResult) -> float:
-    """Mean over the episodes that start in the first third of training."""
+    """Return the mean over the episodes that start in the first third of training."""
     rows = 3 * run.records.start_step < run.records.total_steps
     return float(getattr(run.records, column)[rows].mean())
 
@@ -397,16 +400,15 @@ SHORT_EPISODES = Claim(
 
 CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, EQUAL_RATES, LOWEST_LATE)
 CLAIMS = (*CLAIMS, CHEAP_BUT_LONG, BOTH_WAYS, COSTLY_BUT_SHORT, SHORT_EPISODES)
-"""Pages number them in this order."""
+"""All claims, in the order in which pages number them."""
 
 
 def check_claims(groups: Sequence[Group]) -> list[Statement]:
-    """Every claim on tasks with runs, against those of the paper's grid; nothing where no algorithm
-    has any of full length.
+    """Check every claim on tasks with runs; empty if no algorithm has runs of the paper's length.
 
-    Runs with other settings or task parameters decide nothing, and neither do runs of other length
-    than the paper's, or fewer than are needed. Runs with another choice of what the paper does not
-    specify tell where the verdict depends on it.
+    Runs with other settings, task parameters or lengths than the paper's decide nothing, and
+    neither do too few runs. Runs with another choice of what the paper does not specify show where
+    the verdict depends on the choice.
     """
     evidence = gather(groups)
     if not any(cell.full for cell in evidence.values()):
@@ -421,8 +423,10 @@ def check_claims(groups: Sequence[Group]) -> list[Statement]:
 
 
 def _other_choices(groups: Sequence[Group], evidence: Evidence) -> dict[str, Evidence]:
-    """For each other choice the evidence with its runs in the place of the preset's, on all tasks
-    on which they suffice to decide; nothing for a choice without any."""
+    """Return, for each other choice, the evidence with its runs in place of the preset's.
+
+    They replace the preset's runs on tasks where there are enough of them to decide; a choice
+    without such a task is left out."""
     others = {}
     for choice in filter(None, dict.fromkeys(choice_of(group) for group in groups)):
         cells = gather(groups, choice)
@@ -433,8 +437,8 @@ def _other_choices(groups: Sequence[Group], evidence: Evidence) -> dict[str, Evi
 
 
 def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -> Statement:
-    """A claim, reproduced where all parts are, not where one is not, with the other choices that
-    change the verdict and the parts that they change."""
+    """Return a claim with its verdict, the other choices that change the verdict, and the parts of
+    the claim that they change. A claim is reproduced if all its parts are."""
     findings = claim.check(evidence)
     verdict = all_of(part.verdict for part in findings)
     otherwise = []

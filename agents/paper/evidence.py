@@ -1,4 +1,4 @@
-"""Claims and their evidence: the paper's numbers, the runs that count, findings, and verdicts."""
+"""Evidence for claims: the paper's numbers, the runs that count, findings, and verdicts."""
 
 from __future__ import annotations
 
@@ -32,22 +32,23 @@ from emcc.statistics import UNBOUNDED, Bounds
 
 Verdict = Literal["reproduced", "not reproduced", "undecided"]
 Count = Callable[[int, int, int], Verdict]
-"""A rule: number of runs that do something, of all, and parts of the claim."""
+"""A rule: from the number of runs that do something, the number of all runs, and the number of
+parts of the claim."""
 Value = str | Callable[[RunResult], float | None]
-"""A measure's name, or another number of a run."""
+"""A measure's name, or a function that computes another number of a run."""
 
 SEEDS, SAFETY_SEEDS = 10, 3
-"""Complete runs of the paper's length that an algorithm needs to decide anything, on Circle2D and
-on a Safety task, whose runs are ten times as long: there the tests alone decide."""
+"""Fewest complete runs of the paper's length from which claims about an algorithm are decided, on
+Circle2D and on a Safety task; Safety runs are ten times as long, and there only tests decide."""
 LEVEL_TASKS = list(KINEMATIC.values())
 EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
 HALF, RARE = 0.5, 0.05
-"""Shares of runs: "the runs do" is more than half; "there are runs that do" is more than one in
-twenty."""
+"""Thresholds on shares of runs: "the runs do" means more than half, "there are runs that do" more
+than one in twenty."""
 
 
 def paper_results(task: str, title: str) -> dict[str, float]:
-    """The paper's numbers for an algorithm on a task, by measure; empty where it prints none.
+    """Return the paper's numbers for an algorithm on a task, by measure; empty if it has none.
 
     title: of the algorithm, as the paper prints it.
     """
@@ -66,14 +67,14 @@ def _numbers() -> dict[str, Any]:
 
 
 def _as_meant(task: str, title: str, measure: str, value: float) -> float:
-    """The paper prints 4.68 here; no return of this task can be positive."""
+    """Correct a misprint: the paper prints 4.68, but no return of this task can be positive."""
     is_misprint = (task, title, measure) == ("Circle2D-1", "TRPO-Lag", "J_R")
     return -value if is_misprint else value
 
 
 def printed(group: Group) -> Group:
-    """The group with the paper's numbers for its algorithm and task; none on a task with other
-    parameters than the paper's."""
+    """Return the group with the paper's numbers for its algorithm and task; without them if the
+    task has other parameters than the paper's."""
     values = paper_results(group.task, title(group.config.algorithm))
     if not values or group.config.task_parameters:
         return group
@@ -81,41 +82,41 @@ def printed(group: Group) -> Group:
 
 
 def choice_of(group: Group) -> str | None:
-    """The name in `grid.ablations` of the hyper-parameters that a group has instead of the
-    preset's; empty without any, None of others."""
+    """Return the name in `grid.ablations` of a group's differences from the preset: empty if there
+    are none, None if the differences are not among the ablations."""
     changed = hyperparameter_changes(group.config, group.task)
     named = {"": {}} | ablations(group.config.algorithm, group.task)
     return next((name for name, values in named.items() if values == changed), None)
 
 
 class Finding(NamedTuple):
-    """A part of a claim: the numbers measured, in words, and the verdict on them."""
+    """A part of a claim: the measured numbers in words, and the verdict on them."""
 
     words: str
     verdict: Verdict
 
 
 class Cell(NamedTuple):
-    """The runs of an algorithm on a task with the preset, or with another choice of what the paper
-    does not specify."""
+    """The runs of an algorithm on a task, with the preset or another choice of what the paper does
+    not specify."""
 
     task: str
     algorithm: str
     runs: tuple[RunResult, ...]
     lacking: str
-    """Why they are inconclusive (too few seeds, wrong length); empty if they count."""
+    """Why the runs are inconclusive (too few seeds, wrong length); empty if they count."""
     full: bool = False
-    """Whether they have the paper's length."""
+    """Whether the runs have the paper's length."""
     choice: str = ""
     """The other choice, a name of `grid.ablations`; empty for the preset."""
 
     @property
     def title(self) -> str:
-        """The algorithm, with the other choice."""
+        """The algorithm, with the other choice if there is one."""
         return self.named(title(self.algorithm))
 
     def named(self, name: str) -> str:
-        """A name, with the other choice."""
+        """Return a name, with the other choice if there is one."""
         return f"{name} with {self.choice}" if self.choice else name
 
     @property
@@ -124,17 +125,17 @@ class Cell(NamedTuple):
         return paper_results(self.task, title(self.algorithm))
 
     def values(self, of: Value) -> list[float | None]:
-        """A measure of each run, or another number of it."""
+        """Return a measure, or another number, of each run."""
         return [run.measures[of] if isinstance(of, str) else of(run) for run in self.runs]
 
     def judged(self, rule: Count, does: Callable[[RunResult], bool], parts: int) -> Verdict:
-        """The verdict of a rule on the runs that do something; undecided where runs are lacking."""
+        """Return a rule's verdict on how many runs do something; undecided if runs are lacking."""
         if self.lacking:
             return "undecided"
         return rule(sum(map(does, self.runs)), len(self.runs), parts)
 
     def share(self, does: Callable[[RunResult], bool], name: str, words: str) -> list[str]:
-        """Share of runs that do something; nothing where there are no runs."""
+        """Return in words the share of runs that do something; empty without runs."""
         if not self.runs:
             return []
         told = share(sum(map(does, self.runs)), len(self.runs))
@@ -149,12 +150,12 @@ class Cell(NamedTuple):
         bounds: Bounds = UNBOUNDED,
         signed: bool = False,
     ) -> list[str]:
-        """Mean over the runs beside the paper's number; nothing where there are no runs."""
+        """Return in words the mean over the runs and the paper's number; empty without runs."""
         mean = mean_of(self.values(of), one_place(self.runs), bounds)
         return [in_words(name, mean, printed, signed=signed)] if self.runs else []
 
     def means(self, *names: str) -> list[str]:
-        """Means of measures."""
+        """Return in words the means of several measures."""
         several = (self.mean(n, n, self.printed[n], measure(n).bounds) for n in names)
         return [words for mean in several for words in mean]
 
@@ -167,8 +168,8 @@ def in_words(
     signed: bool = False,
     runs: Sequence[int] = (),
 ) -> str:
-    """A mean, or a signed difference, beside the paper's where it prints one, and p values, each
-    with the name of its test. value: None where a run lacks it. runs: of each side of a
+    """Return in words a mean, or a signed difference, with the paper's number, if any, and p values
+    with the names of their tests. value: None if a run lacks it. runs: number on each side of a
     difference."""
     sides = [] if value is None else dict.fromkeys(runs or [value.runs])
     beside = [f"n = {' and '.join(map(str, sides))}"] if sides else []
@@ -184,7 +185,7 @@ def difference_in_words(
     of: Value,
     tests: Sequence[tuple[str, float | None]],
 ) -> list[str]:
-    """The mean over the runs of b less that over those of a; nothing where a side has no runs."""
+    """Return in words the mean of b minus the mean of a; empty if a side has no runs."""
     if not (a.runs and b.runs):
         return []
     gap = difference_of(a.values(of), b.values(of), one_place(a.runs) and one_place(b.runs))
@@ -194,7 +195,7 @@ def difference_in_words(
 
 
 Evidence = Mapping[tuple[str, str], Cell]
-"""By task and algorithm, for all of the paper's."""
+"""Cells by task and algorithm, for all tasks and algorithms of the paper."""
 
 
 class Claim(NamedTuple):
@@ -202,25 +203,26 @@ class Claim(NamedTuple):
 
     text: str
     rule: str
-    """In words, as it is printed beside the verdict."""
+    """The rule in words, printed beside the verdict."""
     check: Callable[[Evidence], list[Finding]]
     tasks: Sequence[str]
-    """The claim is on these: without any runs on them it is left out."""
+    """Tasks that the claim is about; without runs on any of them the claim is left out."""
     across: bool = False
-    """Whether it compares EMCC of on- and off-policy methods, which takes windows: see
+    """Whether the claim compares EMCC of on- and off-policy methods, which needs windows: see
     `agents.results.statistics.ACROSS`."""
 
 
 def gather(groups: Sequence[Group], choice: str = "") -> Evidence:
-    """The runs of presets on the paper's tasks, or those with another choice of what the paper does
-    not print; those with another setting are left out."""
+    """Collect the runs on the paper's tasks that have preset settings or, if given, another choice
+    of what the paper does not specify. Runs with any other setting are left out."""
     pairs = itertools.product(PAPER_STEPS, PAPER_ALGORITHMS)
     return {(task, name): _cell(groups, task, name, choice) for task, name in pairs}
 
 
 def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
-    """Runs of the paper's length that have all it prints, one for each seed; where there are none,
-    the longest of the others, which decide nothing."""
+    """Collect the runs of the paper's length that have all measures it prints, one for each seed.
+
+    If there are none, the longest others are taken, which decide nothing."""
     needed, printed = PAPER_STEPS[task], paper_results(task, title(name))
     by_steps: dict[int, dict[int, RunResult]] = {}  # by seed
     for group in groups:
@@ -241,7 +243,7 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """The verdict on a claim that holds where all its parts hold: one that does not decides it."""
+    """Return the verdict on a claim that holds if all its parts hold: one failure decides."""
     parts = set(verdicts)
     if "not reproduced" in parts:
         return "not reproduced"
@@ -249,7 +251,7 @@ def all_of(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 def any_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """The verdict on a claim that holds where one of its parts holds: one that does decides it."""
+    """Return the verdict on a claim that holds if any part holds: one that holds decides."""
     parts = set(verdicts)
     if "reproduced" in parts:
         return "reproduced"
@@ -257,7 +259,7 @@ def any_of(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 def opposite(verdict: Verdict) -> Verdict:
-    """The verdict on the claim that it is not so."""
+    """Return the verdict on the negated claim."""
     return _verdict(verdict == "not reproduced", verdict == "reproduced")
 
 
@@ -266,34 +268,36 @@ def _verdict(holds: bool, fails: bool) -> Verdict:
 
 
 def against(parts: int) -> float:
-    """Level of the interval whose either end is a one-sided bound at `LEVEL` over the parts of a
-    claim: any of them decides against it, so that their errors add up."""
+    """Return the level of the interval to decide against a claim of several parts.
+
+    Each end of the interval is a one-sided bound at `LEVEL` / parts: any part can decide against
+    the claim, so the error probabilities add up."""
     return 1 - 2 * LEVEL / parts
 
 
 def mostly(count: int, runs: int, parts: int) -> Verdict:
-    """The verdict on "the runs do": the share's interval is above a half; not where below."""
+    """Judge "the runs do": reproduced if the share's interval is above a half, not if below."""
     wide = share(count, runs, against(parts))
     return _verdict(share(count, runs).low > HALF, wide.high < HALF)
 
 
 def some(count: int, runs: int, parts: int) -> Verdict:
-    """The verdict on "there are runs that do": the share's interval is above `RARE`; not where no
-    run does and the interval is below a half."""
+    """Judge "there are runs that do": reproduced if the share's interval is above `RARE`; not
+    reproduced if no run does and the interval is below a half."""
     wide = share(count, runs, against(parts))
     return _verdict(share(count, runs).low > RARE, count == 0 and wide.high < HALF)
 
 
 def none(count: int, runs: int, parts: int) -> Verdict:
-    """The verdict on "no run does": none does and the share's interval is below a half; not
-    reproduced where the interval is above `RARE`."""
+    """Judge "no run does": reproduced if none does and the share's interval is below a half; not
+    reproduced if the interval is above `RARE`."""
     wide = share(count, runs, against(parts))
     return _verdict(count == 0 and share(count, runs).high < HALF, wide.low > RARE)
 
 
 def about(values: Values, printed: float, parts: int) -> Verdict:
-    """The verdict on "the mean is about": its whole interval is within a fifth of the number;
-    not where it lies wholly farther away."""
+    """Judge "the mean is about `printed`": reproduced if its whole interval is within a fifth of
+    the number; not reproduced if the whole interval is farther away."""
     numbers, near = known(values), (0.8 * printed, 1.2 * printed)
     if numbers is None:
         return "undecided"
@@ -305,8 +309,8 @@ def about(values: Values, printed: float, parts: int) -> Verdict:
 
 
 def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
-    """The verdict on "the means are equal": equivalent within the margin; not where they are not
-    and the permutation test tells them apart."""
+    """Judge "the means are equal": reproduced if they are equivalent within the margin; not
+    reproduced if they are not and the permutation test tells them apart."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
@@ -314,8 +318,8 @@ def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
 
 
 def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
-    """The verdict on "the means differ": the permutation test tells them apart; not where they are
-    equivalent within the margin."""
+    """Judge "the means differ": reproduced if the permutation test tells them apart; not reproduced
+    if they are equivalent within the margin."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
@@ -324,8 +328,8 @@ def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
 
 
 def lower(a: Values, b: Values, parts: int) -> Verdict:
-    """The verdict on "the mean of a is below that of b": it is, and the permutation test tells them
-    apart; not where it tells them apart the other way round."""
+    """Judge "the mean of a is below the mean of b": reproduced if it is and the permutation test
+    tells them apart; not reproduced if the test tells them apart the other way round."""
     first, second, p = known(a), known(b), p_of(a, b)
     if first is None or second is None or p is None:
         return "undecided"
@@ -334,7 +338,7 @@ def lower(a: Values, b: Values, parts: int) -> Verdict:
 
 
 def finding(where: str, verdict: Verdict, cells: Sequence[Cell], facts: Sequence[str]) -> Finding:
-    """A finding that names the runs it lacks: by task where all are of one algorithm."""
+    """Return a finding that names the cells that lack runs, by task if all have one algorithm."""
     by_task = len(cells) > 1 and len({cell.algorithm for cell in cells}) == 1
     lacking: dict[str, list[str]] = {}
     for cell in (cell for cell in cells if cell.lacking):
@@ -345,5 +349,5 @@ def finding(where: str, verdict: Verdict, cells: Sequence[Cell], facts: Sequence
 
 
 def short(task: str) -> str:
-    """Circle2D-1 for Circle2D-1-v0, SafetyPointGoal1 for circle2d_mj/SafetyPointGoal1-v0."""
+    """Return a task's short name: SafetyPointGoal1 for circle2d_mj/SafetyPointGoal1-v0."""
     return task.rpartition("/")[2].rpartition("-")[0]

@@ -1,5 +1,5 @@
-"""The paper's experiments as data: which trainings there are, in which order, and the choices of
-settings that it does not specify."""
+"""The paper's experiments as data: the trainings, in order, and choices of settings that the paper
+does not specify."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from circle2d_mj.registration import KINEMATIC, PHYSICS
 PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
 """The algorithms that the paper compares, in the order of its tables."""
 PAPER_SEEDS = 3
-"""Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
+"""Runs of an algorithm on a task. Source: captions of tables Circle2DResults and
+SafetyGymnasiumResults."""
 SEEDS = tuple(range(PAPER_SEEDS))
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 BENCHMARK_STEPS = 1_000_000
@@ -35,9 +36,10 @@ BENCHMARK = (
 
 
 def circle2d_tasks(levels: Sequence[int], mujoco: bool) -> list[str]:
-    """The ids of Circle2D on some levels, kinematic or with physics. Raises UserError."""
+    """Return the ids of Circle2D on some levels, kinematic or with physics. Raises UserError for
+    unknown levels."""
     if not levels or not set(levels) <= set(LEVELS):
-        raise UserError(f"levels must be some of {list(LEVELS)}, got {list(levels)}")
+        raise UserError(f"levels must be among {list(LEVELS)}, got {list(levels)}")
     ids = PHYSICS if mujoco else KINEMATIC
     return [ids[level] for level in dict.fromkeys(levels)]
 
@@ -51,11 +53,11 @@ def benchmark(
     quick: bool = False,
     task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
-    """The trainings of the benchmark, by folder `out/TASK/ALGORITHM`; what takes longest first.
+    """Return the benchmark's trainings by folder `out/TASK/ALGORITHM`, the longest ones first.
 
-    By default runs have 1 000 000 steps, and there are ten seeds on Circle2D, five off-policy, and
-    three on other tasks. quick: two seeds of as few steps as give a table. Otherwise as
-    `agents.training.grid.grid`.
+    By default runs have 1 000 000 steps, with ten seeds on Circle2D (five for off-policy
+    algorithms) and three on other tasks. quick: two seeds with the fewest steps that give a table.
+    Otherwise as `agents.training.grid.grid`.
     """
     trainings = {}
     for task in dict.fromkeys(tasks):
@@ -70,11 +72,11 @@ def benchmark(
 
 
 class Unprinted(NamedTuple):
-    """A hyper-parameter that the paper does not specify, and that decides how runs end."""
+    """A hyper-parameter that the paper does not specify, although it decides how runs end."""
 
     field: str
     choices: dict[str, str]
-    """Both, each with its meaning in words."""
+    """The two values, each with its meaning in words."""
 
 
 MULTIPLIER = Unprinted(
@@ -94,12 +96,12 @@ TIME_LIMIT = Unprinted(
 
 
 def unprinted(name: str) -> Unprinted | None:
-    """The hyper-parameter that decides and is not specified in the paper; None where there is none.
+    """Return an algorithm's decisive hyper-parameter that the paper does not specify; None if none.
 
-    The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
-    ends an episode of Circle2D for good decides where the off-policy methods end up. What either
-    choice gives beside the paper's results: results/README.md. (The multipliers of SAC-Lag and
-    WCSAC ascend by Adam, as everything else of theirs does.)
+    The printed step size of TRPO-Lag's multiplier fits either optimiser. Whether an episode of
+    Circle2D terminates at step 50 decides where the off-policy methods end up. results/README.md
+    compares both choices with the paper's results. (The multipliers of SAC-Lag and WCSAC ascend by
+    Adam, like their other parameters.)
     """
     if name == "trpo-lag":
         return MULTIPLIER
@@ -108,7 +110,7 @@ def unprinted(name: str) -> Unprinted | None:
 
 
 LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
-"""WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
+"""Settings of WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
 
 
 STREAK_PARTS = {
@@ -120,19 +122,21 @@ STREAK_PARTS = {
     "scale": ("input_scale",),
     "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
 }
-"""The hyper-parameters that SAC-LB-Streak has on Circle2D in the place of SAC-LB's, by part."""
+"""The hyper-parameters in which SAC-LB-Streak differs from SAC-LB on Circle2D, by part."""
 LIMIT_MARGIN = 1.5
-"""How far the cost limit falls in the control that has a margin instead of the streak cost."""
+"""How much the cost limit is lowered in the control that has a margin instead of the streak
+cost."""
 
 
 def ablations(name: str, task: str) -> dict[str, dict[str, Any]]:
-    """Values instead of the preset's, by the name of the change: several for each algorithm.
+    """Return hyper-parameters that replace the preset's, by the name of the ablation.
 
-    For the paper's algorithms: other choices of what the paper does not specify. On Circle2D the
-    unit of observations is one of them: "units" is that of length instead of the half arena. For
-    SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `STREAK_PARTS`, and a lower cost limit
-    in the place of the streak cost. Without the unit of length the bonus for new states keeps its
-    length between positions; with physics it counts a place anew at every speed.
+    For the paper's algorithms: other choices of what the paper does not specify. On Circle2D one of
+    them is "units": observations in units of length instead of half the arena. For SAC-LB-Streak on
+    Circle2D: SAC-LB's values for each of the `STREAK_PARTS`, and a lower cost limit in place of the
+    streak cost. The ablation without the input scale rescales the novelty bonus's length, so that
+    distances between positions stay the same; with physics, a place then counts as new at each
+    speed.
     """
     if name == "sac-lb-streak":
         return _without_parts(task) if is_circle2d(task) else {}
@@ -158,7 +162,7 @@ def _without_parts(task: str) -> dict[str, dict[str, Any]]:
         f"without-{part}": {field: getattr(plain, field) for field in fields}
         for part, fields in STREAK_PARTS.items()
     }
-    # In the unit of the networks' inputs the same distance between positions.
+    # The same distance between positions, in the unit of the networks' inputs.
     found["without-scale"]["novelty_length"] = config.novelty_length / Circle2DConfig().arena
     lower = {"cost_limit": config.cost_limit - LIMIT_MARGIN}
     return found | {"margin": found["without-streak"] | lower}

@@ -1,4 +1,4 @@
-"""The paper's part of a report: its numbers beside ours, other choices, claims."""
+"""The paper's part of a report: its numbers next to ours, tables of other choices, and claims."""
 
 from __future__ import annotations
 
@@ -80,14 +80,15 @@ MARKING = "of the choices the mean that is nearest to the paper's"
 
 
 class Paper(Study):
-    """All that the paper adds to a report."""
+    """Everything that the paper adds to a report."""
 
     def printed(self, group: Group) -> Group:
-        """The group with the paper's numbers: see `evidence.printed`."""
+        """Return the group with the paper's numbers: see `evidence.printed`."""
         return printed(group)
 
     def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
-        """Choices that the paper does not specify, beside the preset, have their tables."""
+        """Set apart groups with other choices of what the paper does not specify, if the preset's
+        group is there; they get their own tables."""
         usual, pairs = split(groups)
         if not pairs:
             return usual, {}
@@ -105,7 +106,7 @@ class Paper(Study):
         return usual, {name: table for name, table in tables.items() if table is not None}
 
     def notes(self, groups: Sequence[Group]) -> list[str]:
-        """Settings of our presets that the paper does not specify, and what it did otherwise."""
+        """Return notes on what the paper does not specify, and on how its runs differ from ours."""
         task = groups[0].task
         titles: dict[str, dict[str, None]] = {}
         for group in (group for group in groups if group.printed):
@@ -124,11 +125,11 @@ class Paper(Study):
         return notes
 
     def details(self, groups: Sequence[Group]) -> dict[str, Table]:
-        """EMCC with all ties kept."""
+        """Return the table of EMCC with all ties: see `ties_table`."""
         return {OTHER_TIES: ties_table(groups)}
 
     def sections(self, groups: Sequence[Group]) -> list[Section]:
-        """The paper's claims with their verdicts: see `claims_sections`."""
+        """Return the paper's claims with their verdicts: see `claims_sections`."""
         return claims_sections(groups)
 
 
@@ -136,33 +137,32 @@ STUDY = Paper()
 
 
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
-    """The groups to report as usual, and the pairs of a preset's group and an ablated one.
+    """Return the groups to report as usual, and pairs of the preset's group and an ablated one.
 
-    Ablated is a group with another choice of what the paper does not specify (`grid.ablations`)
-    while nothing else differs from the preset, where the preset's group is there too; without it,
-    it is a group like any other.
+    A group is ablated if it differs from the preset only by one of `grid.ablations`. Without the
+    preset's group there is no pair, and the ablated group is reported as usual.
     """
     pairs = []
     for group in groups:
         if not choice_of(group):
             continue
         beside = [other for other in groups if _is_preset_of(other, group)]
-        if beside:  # of several, such as published runs and a trial, that of most runs
+        if beside:  # of several, such as published runs and a trial, the one with the most runs
             pairs.append((max(beside, key=lambda other: len(other.runs)), group))
     ablated = {id(group) for _, group in pairs}
     return [group for group in groups if id(group) not in ablated], pairs
 
 
 def _is_preset_of(group: Group, ablated: Group) -> bool:
-    """Whether a group is that of the preset, on equal terms with an ablated one."""
+    """Whether a group has the preset's settings and is otherwise equal to an ablated group."""
     names = ("algorithm", "task_parameters", "steps")
     equal = all(getattr(group.config, n) == getattr(ablated.config, n) for n in names)
     return equal and group.task == ablated.task and choice_of(group) == ""
 
 
 def claims_sections(groups: Sequence[Group]) -> list[Section]:
-    """The paper's claims with their verdicts, and the same on the tasks with physics, of which the
-    paper has no runs; nothing where no run can tell."""
+    """Return sections on the paper's claims, and on the same claims for the tasks with physics, for
+    which the paper has no runs. Sections that no run can decide are left out."""
     same = {PHYSICS[level]: task for level, task in KINEMATIC.items()}
     physics = [
         replace(group, task=same[registered_id(group.task)])
@@ -178,14 +178,14 @@ def claims_sections(groups: Sequence[Group]) -> list[Section]:
 
 
 Choices = Sequence[Sequence[Group]]
-"""The group of each preset, followed by those of the other choices."""
+"""For each preset its group, followed by the groups with other choices."""
 
 
 def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
-    """For each task and algorithm the preset's means, those of the other choices, and the paper's.
+    """Return the table of means with the preset, with other choices, and in the paper.
 
-    Marked is, of each measure, the choice whose mean is nearest to what the paper prints. None
-    where there are no choices. kind: the word for a choice; words: their meaning.
+    For each measure the choice whose mean is nearest to the paper's is marked. None if there are no
+    choices. kind: the word for a choice; words: what the choices mean.
     """
     rows: list[Row] = []
     marked: set[tuple[int, str]] = set()
@@ -208,8 +208,8 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
 
 
 def nearest_table(choices: Choices) -> Table | None:
-    """In how many measures, over all tasks, each choice of an algorithm is the nearest to the
-    paper; None where nothing can be compared."""
+    """Return the table that counts, over all tasks, the measures in which each choice is nearest to
+    the paper; None if nothing can be compared."""
     nearest: Counter[tuple[str, str]] = Counter()
     compared: Counter[tuple[str, str]] = Counter()
     for own in choices:
@@ -229,7 +229,8 @@ def nearest_table(choices: Choices) -> Table | None:
 
 
 def parts_over_tasks(choices: Choices) -> Table | None:
-    """Differences, over all tasks, of SAC-LB-Streak's runs without each part; None of one task."""
+    """Return the table of differences, over all tasks, of SAC-LB-Streak without each part from its
+    preset; None if there is only one task."""
     named = []
     for usual, *others in choices:
         for other in others:
@@ -240,7 +241,7 @@ def parts_over_tasks(choices: Choices) -> Table | None:
 
 
 def _by_preset(pairs: Sequence[Pair]) -> list[list[Group]]:
-    """The choices: by algorithm, then by task, each in the order of `grid.ablations`."""
+    """Sort the choices by algorithm, then task, then the order of `grid.ablations`."""
     beside: dict[int, list[Group]] = {}
     for usual, other in sorted(pairs, key=_place):
         beside.setdefault(id(usual), [usual]).append(other)
@@ -254,8 +255,8 @@ def _place(pair: Pair) -> tuple[int, str, int]:
 
 
 def _nearest(groups: Sequence[Group], values: Mapping[str, float]) -> Iterator[tuple[int, str]]:
-    """Place and measure of the means that are nearest to the paper's numbers, as printed; nothing
-    of a single group."""
+    """Yield index of the group and measure where a mean, as printed, is nearest to the paper's;
+    nothing for a single group."""
     known = [means(group) for group in groups] if len(groups) > 1 else []
     for m in measures() if known else ():
         ours = [group[m.name] for group in known]
@@ -265,7 +266,7 @@ def _nearest(groups: Sequence[Group], values: Mapping[str, float]) -> Iterator[t
 
 
 def _choice(group: Group) -> str:
-    """The name of a choice; "preset", with its value where the choice is one of two."""
+    """Return the name of a choice; for the preset, "preset", with its value if it is one of two."""
     if choice := choice_of(group):
         return choice
     setting, chosen = unprinted(group.config.algorithm), group.config.hyperparameters
@@ -273,9 +274,9 @@ def _choice(group: Group) -> str:
 
 
 def ties_table(groups: Sequence[Group]) -> Table:
-    """EMCC of each third with both readings of its quantile, and the paper's.
+    """Return the table of EMCC of each third with both treatments of ties, and the paper's.
 
-    The records of training decide it: no run is trained for it.
+    EMCC is recomputed from the records of training, without training again.
     """
     columns = [measure(name) for name in EMCCS]
     rows: list[Row] = []
