@@ -1,1 +1,1 @@
-"""Training many runs in step with each other: everything with a run axis."""
+"""Training of many runs in lockstep: everything that has a run axis."""

@@ -1,4 +1,4 @@
-"""Settings of the process that training runs under."""
+"""Settings of a training's process, and conversions between arrays and tensors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from agents.lockstep.kernel import Backend
 
 
 def configure(backend: Backend) -> None:
-    """Prepare this process for training: one thread, since lockstep runs fill a core and processes
-    fill the others, and the kernel of that name. Raises UserError where it is not to be had."""
+    """Prepare this process for training: use that kernel, and one thread, since lockstep runs fill
+    a core and other processes the other cores. Raises UserError if the kernel is not available."""
     torch.set_num_threads(1)
     try:
         kernel.use(backend)
@@ -26,7 +26,7 @@ def configure(backend: Backend) -> None:
 
 
 def choose(choice: Backend) -> tuple[Backend, str]:
-    """The backend of a training, and why it is another than the one that was chosen."""
+    """Return the backend to train with, and why it is not the chosen one; "" if it is."""
     if choice == "c++":
         try:
             kernel.in_cpp()
@@ -37,7 +37,7 @@ def choose(choice: Backend) -> tuple[Backend, str]:
 
 @contextlib.contextmanager
 def restored() -> Iterator[None]:
-    """Restore at the end what `configure` changes."""
+    """Restore on exit what `configure` changes."""
     threads, used = torch.get_num_threads(), kernel.used()
     try:
         yield
@@ -47,10 +47,10 @@ def restored() -> Iterator[None]:
 
 
 def tensor(array: NDArray) -> Tensor:
-    """The array as a tensor that shares its memory."""
+    """Return the array as a tensor that shares its memory."""
     return torch.from_numpy(array)
 
 
 def array(numbers: Tensor | NDArray) -> NDArray:
-    """The numbers as an array that shares their memory."""
+    """Return a tensor or array as an array that shares its memory."""
     return numbers if isinstance(numbers, np.ndarray) else numbers.numpy()

@@ -1,7 +1,7 @@
-"""Passes of Adam over minibatches, and the losses that the kernel in C++ knows in closed form.
+"""Passes of Adam over minibatches, and the losses that the C++ kernel has in closed form.
 
-A pass is of R runs with K networks each, N = R·K in all; a policy's parameters are those of its
-network and behind them its log-std.
+A pass trains R runs with K networks each, N = R·K in all. The parameters of a policy are those of
+its network followed by its log-std.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ if TYPE_CHECKING:
     from agents.lockstep.kernel import Float, InNumpy, Shape
 
 MAY_DIVERGE = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-"""For updates: a run whose numbers are not finite is found by its learner's `finite`."""
+"""For updates: the learner's `finite` finds runs whose numbers are no longer finite."""
 
 
 class Slopes(NamedTuple):
-    """The gradient of a loss, summed over runs, in what networks say of a minibatch."""
+    """The gradient of a loss, summed over runs, in the networks' outputs and log-stds."""
 
     outputs: Float
     """[N, b, out]"""
     log_std: Float
-    """[N, A]; A is 0 where the loss is of outputs alone"""
+    """[N, A]; A is 0 if the loss depends on outputs alone"""
     record: Float
-    """[N]: what the loss records of the minibatch"""
+    """[N]: number that the loss records of the minibatch"""
 
 
 class Loss(Protocol):
-    """A loss of the outputs of networks at some rows of an epoch."""
+    """A loss of the networks' outputs at some rows of an epoch."""
 
     def slopes(
         self, rows: NDArray[np.int64], weight: Float, outputs: Float, log_std: Float
     ) -> Slopes:
-        """At rows [R, b] whose weights [R, b] add up to 1, or to 0 of a run that has none in it;
-        outputs: [N, b, out]; log_std: [N, A]."""
+        """Return the slopes at rows [R, b] with weights [R, b] that sum to 1, or to 0 for a run
+        without rows in the minibatch; outputs: [N, b, out]; log_std: [N, A]."""
         ...
 
 
 class Clipped(NamedTuple):
-    """PPO's loss, `-E[min(ρ A, clip(ρ, 1 - ε, 1 + ε) A)]`, of means and log-stds: its gradient is
-    `-ρ A ∂ log π` where ρ is not clipped, 0 elsewhere. Records the share of steps whose ratio is
-    beyond the range."""
+    """PPO's loss, `-E[min(ρ A, clip(ρ, 1 - ε, 1 + ε) A)]`, as a function of means and log-stds. The
+    gradient is `-ρ A ∂ log π` where ρ is not clipped, 0 elsewhere. Records the share of environment
+    steps whose ratio is outside the range."""
 
     action: Float
     """[R, B, A]"""
@@ -74,7 +74,7 @@ class Clipped(NamedTuple):
 
 
 class Squared(NamedTuple):
-    """Half the mean squared error of networks with one output, which it records."""
+    """Half the mean squared error of networks with one output; records its value."""
 
     target: Float
     """[R, K, B]"""
@@ -92,42 +92,42 @@ class Squared(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Adam's state of parameters [R, ...], of their kind: arrays, or a learner's tensors."""
+    """Adam's state for parameters [R, ...]: arrays, or tensors where the parameters are tensors."""
 
     mean: Any
     square: Any
     decay1: Any
-    """β₁ᵗ [R, 1, ...]. Kept as a product, since a power differs in its last bit between lanes."""
+    """β₁ᵗ [R, 1, ...]. A running product, since the last bit of a power depends on its lane."""
     decay2: Any
     """β₂ᵗ [R, 1, ...]"""
 
     @property
     def arrays(self) -> Moments:
-        """Views of all, [R, P]."""
+        """Views of all parts as arrays [R, P]."""
         return Moments(*(np.asarray(part).reshape(len(part), -1) for part in self))
 
 
 class Descent(NamedTuple):
-    """What a pass changes, in place, and how."""
+    """What a pass changes in place (`params`, `moments`), and how."""
 
     net: Shape
     params: Float
-    """[N, P]: a network's, in a policy the log-std, and padding, which stays 0"""
+    """[N, P]: those of the network, in a policy the log-std, and padding, which stays 0"""
     moments: Moments
     """[R, K·P]"""
     inputs: Float
-    """[R, B, at least in]: networks see the first"""
+    """[R, B, at least in]: networks see the first `in` numbers"""
     batch_size: int
     rate: float
     """Adam's step size"""
     log_std: slice = slice(0, 0)
-    """Where a policy's parameters have it."""
+    """Slice of a policy's parameters that holds the log-std."""
     longest: float = math.inf
-    """Norm to which a longer gradient of a network is scaled."""
+    """Norm to which the gradient of each network is clipped."""
 
 
 def orders(steps: NDArray[np.int64], streams: Sequence[np.random.Generator]) -> NDArray[np.int64]:
-    """An order of each run's rows for a pass, [R, most steps]: the first steps [R] of it count."""
+    """Return a random order of each run's rows, [R, most steps]; the first `steps` [R] count."""
     order = np.zeros((len(steps), int(steps.max())), dtype=np.int64)
     for run, (n, rng) in enumerate(zip(steps, streams, strict=True)):
         order[run, :n] = rng.permutation(n)
@@ -135,15 +135,15 @@ def orders(steps: NDArray[np.int64], streams: Sequence[np.random.Generator]) -> 
 
 
 LANES = 32
-"""A multiple of the lanes of PyTorch's functions, which compute what is left over otherwise."""
+"""Multiple of the vector lanes of PyTorch's functions, which compute a remainder differently."""
 
 
 def minibatches(
     order: NDArray[np.int64], steps: NDArray[np.int64], size: int
 ) -> Iterator[tuple[NDArray[np.int64], Float]]:
-    """Rows [R, b] and weights [R, b] of a pass; b is the size, filled to a multiple of `LANES`.
+    """Yield rows and weights [R, b] of minibatches; b: size, padded to a multiple of `LANES`.
 
-    The weights of a run's minibatch add up to 1, or to 0 where it has no rows left.
+    The weights of a run's minibatch sum to 1, or to 0 if the run has no rows left.
     """
     width = -(-size // LANES) * LANES
     for start in range(0, int(steps.max()), size):
@@ -159,7 +159,7 @@ def minibatches(
 def descend(
     own: InNumpy, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> Float:
-    """See `InNumpy.descend`, for any loss."""
+    """See `InNumpy.descend`; for any loss."""
     params, runs = it.params, len(steps)
     share, seen = len(params) // runs, it.inputs[..., : it.net.sizes[0]]
     total = np.zeros(len(params), params.dtype)

@@ -1,12 +1,12 @@
-// Multi-layer perceptrons of one shape, each computed by itself: values, products with the Jacobian
+// Multi-layer perceptrons of one shape, each computed by itself: outputs, products with the Jacobian
 // in the parameters and the inputs, passes of Adam over minibatches, and conjugate gradients. Sums
-// run in an order that depends on a network's own rows alone, so that a network's numbers are the
-// same, bit for bit, whatever others are computed.
+// run in an order that depends only on the rows of the network itself, so that its numbers are the
+// same, bit for bit, whatever other networks are computed.
 //
-// A layer's parameters are a matrix [in + 1][out], weights and below them the biases; layers lie
-// one behind the other. Rows go through all layers ROWS at a time, turned, as matrices [in + 1][ROWS]
-// whose last row is 1: so a layer is one product, its biases included, and so is its gradient. All
-// numbers are float32.
+// The parameters of a layer are a matrix [in + 1][out], the weights and, as the last row, the
+// biases; layers lie one behind the other. Rows of inputs go through all layers ROWS at a time,
+// transposed, as matrices [in + 1][ROWS] whose last row is 1, so that a layer, biases included, is
+// one matrix product, and so is its gradient. All numbers are float32.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -18,17 +18,17 @@
 #endif
 
 #ifdef __AVX512F__
-constexpr int LANES = 16, SUMS = 24; // as many vectors of sums fit into the registers
+constexpr int LANES = 16, SUMS = 24; // vectors of sums that fit into the registers
 #else
 constexpr int LANES = 8, SUMS = 12;
 #endif
-constexpr int64_t ROWS = 64; // their layers fit into the first two levels of cache
+constexpr int64_t ROWS = 64; // layers of so many rows fit into the first two levels of cache
 typedef float Vector __attribute__((vector_size(4 * LANES), aligned(4)));
 
 static Vector all(float x) { return Vector{} + x; }
 static int64_t filled(int64_t n) { return (n + LANES - 1) / LANES * LANES; }
 
-// The first numbers of a vector, `count` or all.
+// Load or store the first `count` numbers of a vector, all of them if count is larger.
 static Vector load(const float *p, int64_t count) {
   if (count >= LANES) return *(const Vector *)p;
   Vector v{};
@@ -44,7 +44,7 @@ static void store(float *p, Vector v, int64_t count) {
       if (i < count) p[i] = v[i];
 }
 
-// Memory that lasts until the next call with that number and begins a line of the cache.
+// Memory that begins at a cache line and is valid until the next call with the same `which`.
 static float *aligned(float *p) { return (float *)(((uintptr_t)p + 63) & ~(uintptr_t)63); }
 static float *scratch(int which, int64_t size) {
   static thread_local std::vector<float> kept[8];
@@ -52,12 +52,12 @@ static float *scratch(int which, int64_t size) {
   return aligned(kept[which].data());
 }
 
-// Compiled by -O2, in two thirds of the time that -O3 takes, and as fast: what it leaves out is asked
-// for below, loops over registers unrolled, the function that each activation is made of in its
-// loop, and -O3 where matrices are turned.
+// Compiled with -O2, which takes two thirds of the time of -O3 and gives code as fast. What -O2
+// leaves out is asked for below: loops over registers are unrolled, the function in the loop of
+// activations is inlined, and matrices are transposed with -O3.
 
 // c[m][n] = (c[m][n] +) sum_k a(m, k) b[k][n]; a(m, k) = a[m * am + k * ak]; N vectors of columns,
-// of whose last one `last` numbers are c's.
+// the last of which holds `last` columns of c.
 struct Operands {
   const float *a;
   int64_t am, ak;
@@ -102,7 +102,7 @@ template <int N> static void strip(const Operands &o, int64_t rows, int64_t n, i
   for (; m < rows; m++) tile<1, N>(o, m, n, last);
 }
 
-// The product for all of c [rows][columns]; b's rows are filled to whole vectors.
+// The product for all of c [rows][columns]; the rows of b are padded to whole vectors.
 static void product(const Operands &o, int64_t rows, int64_t columns) {
   constexpr int64_t MOST = SUMS / 6;
   for (int64_t n = 0; n < columns; n += MOST * LANES) {
@@ -122,7 +122,7 @@ template <size_t... I> static Vector high(Vector a, Vector b, std::index_sequenc
   return Vector{(I % 2 ? b : a)[(LANES + I) / 2]...};
 }
 
-// to[j][i] = from[index[i] or i][j] for j < columns and i < width, 0 beyond the rows.
+// Transpose: to[j][i] = from[index[i] or i][j] for j < columns and i < width, 0 for i >= rows.
 __attribute__((optimize("O3"))) static void turn(const float *from, int64_t stride,
                                                  const int64_t *index, int64_t rows,
                                                  int64_t columns, float *to, int64_t to_stride,
@@ -146,7 +146,7 @@ __attribute__((optimize("O3"))) static void turn(const float *from, int64_t stri
     }
 }
 
-// tanh as the quotient of polynomials that Eigen takes, within 5e-7.
+// tanh as a quotient of polynomials, as in Eigen, with an error below 5e-7.
 __attribute__((always_inline)) static inline Vector hyperbolic(Vector x) {
   const Vector top = all(7.90531110763549805f);
   x = x > top ? top : x;
@@ -167,13 +167,13 @@ __attribute__((always_inline)) static inline Vector hyperbolic(Vector x) {
 enum Activation { TANH, RELU, SILU };
 
 struct Net {
-  int layers;       // of weights
+  int layers;       // number of weight matrices
   const int64_t *n; // layers + 1 widths
-  int kind;         // of activation
-  // Of each layer: where its parameters begin; where in the tape of some rows its inputs [n + 1]
-  // [ROWS] begin, and of silu the slopes [n][ROWS] there, which the values do not tell.
+  int kind;         // Activation
+  // For each layer: where its parameters begin; where in the tape of ROWS rows its inputs [n + 1]
+  // [ROWS] begin, and the slopes [n][ROWS] of silu, which do not follow from the activations.
   std::vector<int64_t> weights, inputs, slopes;
-  int64_t size = 0, tape = 0, widest = 0; // of the parameters, a tape, a layer
+  int64_t size = 0, tape = 0, widest = 0; // of the parameters, of a tape, of the widest layer
 
   Net(int layers, const int64_t *n, int kind) : layers(layers), n(n), kind(kind) {
     for (int l = 0; l <= layers; l++) widest = std::max(widest, filled(n[l]));
@@ -188,7 +188,7 @@ struct Net {
   }
   int64_t tapes(int64_t rows) const { return (rows + ROWS - 1) / ROWS * tape; }
 
-  // Rows x [.][width], `index` of them or the first, into their tape.
+  // Write inputs x [.][width] into a tape: the rows of `index`, or the first if it is null.
   void begin(const float *x, int64_t width, const int64_t *index, int64_t rows,
              float *tape) const {
     turn(x, width, index, rows, n[0], tape, ROWS, filled(rows));
@@ -196,7 +196,7 @@ struct Net {
       for (int64_t i = 0; i < ROWS; i++) tape[inputs[l] + n[l] * ROWS + i] = 1.0f;
   }
 
-  // Outputs y [out][ROWS] of the rows of a tape; columns: rows, filled.
+  // Compute the outputs y [out][ROWS] of a tape; columns: rows, padded to whole vectors.
   void values(const float *p, float *tape, float *y, int64_t columns) const {
     for (int l = 0; l < layers; l++) {
       float *to = l + 1 < layers ? tape + inputs[l + 1] : y;
@@ -223,7 +223,7 @@ struct Net {
       }
   }
 
-  // y [n][ROWS] of hidden layer l times the activation's slopes.
+  // Multiply y [n][ROWS] of hidden layer l by the slopes of the activation.
   void steepen(int l, float *y, const float *tape, int64_t columns) const {
     const float *value = tape + inputs[l], *slope = tape + slopes[l];
     const Vector one = all(1.0f), zero{};
@@ -240,8 +240,8 @@ struct Net {
       }
   }
 
-  // Adds the products of the first rows of delta [out][ROWS] with the Jacobian in the parameters to
-  // g, unless null; returns those in the inputs, where wanted, [in][ROWS].
+  // Multiply the first rows of delta [out][ROWS] with the Jacobian: add the products in the
+  // parameters to g, unless it is null; return those in the inputs, [in][ROWS], if of_inputs.
   float *pull(const float *p, const float *tape, float *delta, float *g, bool of_inputs,
               int64_t rows) const {
     float *turned = scratch(0, ROWS * widest), *before = scratch(1, widest * ROWS);
@@ -262,9 +262,9 @@ struct Net {
     return delta;
   }
 
-  // The product of the Jacobian in the parameters with v, [out][ROWS].
+  // Return the product of the Jacobian in the parameters with v, [out][ROWS].
   float *push(const float *p, const float *v, const float *tape, int64_t columns) const {
-    float *dot = scratch(4, widest * ROWS), *next = scratch(5, widest * ROWS); // not those of pull
+    float *dot = scratch(4, widest * ROWS), *next = scratch(5, widest * ROWS); // pull has 0 to 2
     for (int l = 0; l < layers; l++) {
       const int64_t in = n[l], out = n[l + 1];
       product({v + weights[l], 1, out, tape + inputs[l], ROWS, next, ROWS, in + 1, false}, out,
@@ -312,8 +312,8 @@ template <typename T> static double dot(const double *a, const T *b, int64_t siz
   return whole;
 }
 
-// Turns values y [ROWS], the first rows, into the slopes of half their mean squared error; returns
-// their part of it.
+// Replace the first rows of values y [ROWS] by the slopes of half the mean squared error; return
+// their part of that error.
 static float squared(float *y, const int64_t *index, const float *target, float weight,
                      int64_t rows) {
   float loss = 0.0f;
@@ -325,9 +325,9 @@ static float squared(float *y, const int64_t *index, const float *target, float 
   return loss;
 }
 
-// Turns means y [actions][ROWS] into the slopes of the clipped surrogate's mean, turned round to
-// descend, and adds those in log_std to `of_log_std`; returns the share of rows whose ratio is
-// clipped. Advantages and log-probabilities are `index`ed, actions are not.
+// Replace means y [actions][ROWS] by the slopes of the negative mean of the clipped surrogate, and
+// add the slopes in log_std to `of_log_std`; return the share of rows whose ratio is outside the
+// range. Advantages and log-probabilities are `index`ed, actions are not.
 static float clipped(const float *log_std, float *y, const float *action, const int64_t *index,
                      const float *advantage, const float *old_log_prob, float range, float weight,
                      int64_t actions, int64_t rows, float *of_log_std) {
@@ -357,17 +357,17 @@ static float clipped(const float *log_std, float *y, const float *action, const 
   return outside;
 }
 
-// The damped Hessian of the mean KL divergence of a policy from itself, over rows of some weights:
-// damping + J^T M J, J the Jacobian of means and log_stds, M the Fisher information of a Gaussian
-// in them: 1 / variance and 2.
+// The damped Hessian of the mean KL divergence of a policy from itself, over weighted rows:
+// damping + J^T M J, where J is the Jacobian of means and log_stds, and M, 1 / variance and 2, the
+// Fisher information of a Gaussian in them.
 struct Curvature {
   const Net &net;
   const float *p;
-  int64_t log_std, actions, size; // where log_stds begin; of the parameters
+  int64_t log_std, actions, size; // where log_stds begin; their number; that of parameters
   float damping;
-  std::vector<float> weight, tapes; // filled
+  std::vector<float> weight, tapes; // padded
 
-  // The tapes of rows x [rows][width].
+  // Compute the tapes of rows x [rows][width]; w: their weights.
   void begin(const float *x, int64_t width, const float *w, int64_t rows) {
     while (rows > 0 && w[rows - 1] == 0.0f) rows--;
     weight.assign(w, w + rows);
@@ -396,8 +396,8 @@ struct Curvature {
     for (int64_t i = 0; i < size; i++) to[i] += damping * v[i];
   }
 
-  // x of H x = b by conjugate gradients from 0, until nothing is left of the residual. Its vectors
-  // have double precision: their rounding is magnified up to a hundred times as much as H's.
+  // Solve H x = b by conjugate gradients from x = 0, until the residual vanishes. The vectors have
+  // double precision: their rounding errors are magnified up to a hundred times as much as H's.
   void solve(const float *b, int64_t iterations, float *x) {
     std::vector<double> sum(size), residual(b, b + size), direction = residual;
     std::vector<float> along(size), image(size);
@@ -419,8 +419,8 @@ struct Curvature {
 
 extern "C" {
 
-// Has glibc hand freed blocks to the next array instead of back to the system: the page faults of
-// fresh megabytes cost as much as the arithmetic that fills them.
+// Make glibc give freed blocks to the next array instead of returning them to the system: the page
+// faults of new megabytes cost as much as the arithmetic that fills them.
 void keep_freed_memory() {
 #ifdef __GLIBC__
   mallopt(M_MMAP_THRESHOLD, 32 << 20);
@@ -429,13 +429,13 @@ void keep_freed_memory() {
 #endif
 }
 
-// Numbers that a network's tape of so many rows takes; a line of the cache more stands behind all.
+// Return the length of a network's tape of some rows; all tapes together need a cache line more.
 int64_t tape_size(int layers, const int64_t *n, int kind, int64_t rows) {
   return Net(layers, n, kind).tapes(rows);
 }
 
-// Outputs y [nets][rows][out] of networks params [nets], `stride` numbers apart, for inputs
-// x [nets / share][rows][in], and their tape, unless null.
+// Compute the outputs y [nets][rows][out] of networks params [nets], `stride` numbers apart, for
+// inputs x [nets / share][rows][in], and their tape, unless it is null.
 void forward(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
              int64_t stride, int64_t rows, float *tape, const float *x, int64_t share, float *y) {
   const Net net(layers, n, kind);
@@ -452,8 +452,8 @@ void forward(int layers, const int64_t *n, int kind, int64_t nets, const float *
     }
 }
 
-// Products of dy [nets][rows][out] with the Jacobian: in the parameters gp [nets][gstride], 0 behind
-// a network's own; in the inputs gx [nets][rows][in]. Either may be null.
+// Multiply dy [nets][rows][out] with the Jacobian: in the parameters, gp [nets][gstride], 0 behind
+// the network's own; in the inputs, gx [nets][rows][in]. Either may be null.
 void backward(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
               int64_t stride, int64_t rows, float *tape, const float *dy, float *gp,
               int64_t gstride, float *gx) {
@@ -473,7 +473,7 @@ void backward(int layers, const int64_t *n, int kind, int64_t nets, const float 
   }
 }
 
-// One step of Adam of each run's numbers, all [runs][size], in place; decays [runs]: beta^t before.
+// Take one step of Adam for each run, all [runs][size], in place; decays [runs]: beta^t before it.
 void adam(int64_t runs, int64_t size, float *params, const float *gradient, float *mean,
           float *square, float *decay1, float *decay2, float rate) {
   for (int64_t r = 0, at = 0; r < runs; r++, at += size) {
@@ -483,12 +483,12 @@ void adam(int64_t runs, int64_t size, float *params, const float *gradient, floa
   }
 }
 
-// A pass of Adam over minibatches of each run's rows, in their order, for its `share` networks
-// [runs][share][stride], in place; moments are of the same shape, decays [runs]. Inputs x
-// [runs][rows][width], of which networks see the first; order [runs][most], of which `steps`
-// [runs]. The loss is half the squared error from targets [runs][share][rows] or, where there are
-// actions [runs][rows][out], the clipped surrogate of policies, whose parameters have log_stds
-// there. Its gradient is shortened to `longest`. Adds to records [runs][share] what losses record.
+// Make a pass of Adam over minibatches of each run's rows, for its `share` networks, in place:
+// params and moments [runs][share][stride], decays [runs]. Inputs x [runs][rows][width], of which
+// networks see the first n[0]; order of the rows [runs][most], the first `steps` [runs] count. The
+// loss is half the squared error from targets [runs][share][rows] or, if there are actions
+// [runs][rows][out], the clipped surrogate of policies, whose log_stds begin at `log_std`. Gradients
+// are clipped to the norm `longest`. Adds to records [runs][share] what the loss records.
 void descend(int layers, const int64_t *n, int kind, int64_t runs, int64_t share, float *params,
              int64_t stride, int64_t log_std, float *mean, float *square, float *decay1,
              float *decay2, const float *x, int64_t rows, int64_t width, const int64_t *order,
@@ -527,8 +527,8 @@ void descend(int layers, const int64_t *n, int kind, int64_t runs, int64_t share
     }
 }
 
-// H v of each run's policy params [runs][stride] for v [runs][stride], or with iterations the x of
-// H x = v; inputs x [runs][rows][width], of which networks see the first; weights [runs][rows].
+// Compute H v for the policies params [runs][stride] and v [runs][stride], or with iterations the x
+// of H x = v; inputs x [runs][rows][width], of which networks see the first; weight [runs][rows].
 void curvature(int layers, const int64_t *n, int kind, int64_t runs, const float *params,
                int64_t stride, int64_t log_std, const float *x, int64_t rows, int64_t width,
                const float *weight, float damping, const float *v, int64_t iterations, float *to) {

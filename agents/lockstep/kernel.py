@@ -1,8 +1,8 @@
-"""The arithmetic of networks: values, products with their Jacobian, passes of Adam.
+"""The arithmetic of networks: outputs, products with their Jacobian, passes of Adam.
 
-In C++ (`kernel.cpp`), which is compiled once where there is a compiler and its results are right;
-else the same functions in NumPy, several times slower. In both a network's numbers depend on itself
-alone, bit for bit, whatever others are computed beside it.
+It is in C++ (`kernel.cpp`), which is compiled once, if there is a compiler and the results are
+right; else the same functions run in NumPy, several times slower. In both, the numbers of a network
+depend on that network alone, bit for bit, whatever others are computed beside it.
 """
 
 from __future__ import annotations
@@ -36,49 +36,49 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
 class Shape(Protocol):
-    """What the functions here need to know of a network."""
+    """What the functions here need to know about a network."""
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Of inputs, hidden layers and outputs."""
+        """Sizes of inputs, hidden layers and outputs."""
         ...
 
     @property
     def activation(self) -> Activation:
-        """Behind the hidden layers."""
+        """Activation function of the hidden layers."""
         ...
 
 
 class Curvature(NamedTuple):
-    """The damped Hessian H of the mean KL divergence of R policies from themselves: `damping + Jᵀ M
-    J`, J the Jacobian of means and log-stds, and M the Fisher information of a Gaussian in them:
-    `1/σ²` and 2."""
+    """The damped Hessian H of the mean KL divergence of R policies from themselves:
+    `damping + Jᵀ M J`, where J is the Jacobian of means and log-stds, and M, `1/σ²` and 2, the
+    Fisher information of a Gaussian in them."""
 
     net: Shape
     params: Float
     """[R, P]"""
     log_std: slice
-    """Where the parameters have it."""
+    """Slice of the parameters that holds the log-std."""
     inputs: Float
-    """[R, B, at least in]: networks see the first"""
+    """[R, B, at least in]: networks see the first `in` numbers"""
     weight: Float
-    """[R, B]: of the rows in the mean"""
+    """[R, B]: weights of the rows in the mean"""
     damping: float
 
 
 class InNumpy:
     """The kernel in NumPy, for numbers of any precision.
 
-    Its functions are of N networks of one shape, params [N, at least size], and of inputs
-    [N / share, B, in], each that of `share` networks, one behind the other.
+    The functions take N networks of one shape, params [N, at least size], and inputs
+    [N / share, B, in], each shared by `share` consecutive networks.
     """
 
     def values(self, net: Shape, params: Float, x: Float, share: int = 1) -> Float:
-        """Outputs [N, B, out]."""
+        """Return the outputs [N, B, out]."""
         return self.forward(net, params, x, share)[0]
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
-        """Outputs [N, B, out], and what `backward` needs of the hidden layers."""
+        """Return the outputs [N, B, out], and what `backward` needs of the hidden layers."""
         x, tape = np.repeat(x, share, axis=0), []
         *hidden, (weight, bias) = layers(net.sizes, params)
         for w, b in hidden:
@@ -89,8 +89,9 @@ class InNumpy:
     def backward(
         self, net: Shape, params: Float, x: Float, tape: Any, dy: Float, of: str, share: int = 1
     ) -> tuple[Float | None, Float | None]:
-        """Products of dy [N, B, out] with the Jacobian; of: "p" in the parameters, [N, width of
-        params], 0 behind the network's own; "x" in the inputs, [N, B, in]; "px" both."""
+        """Return the products of dy [N, B, out] with the Jacobian; of: "p" in the parameters,
+        [N, width of params], 0 behind the network's own; "x" in the inputs, [N, B, in]; "px"
+        both."""
         gradient = np.zeros_like(params)
         inputs = [np.repeat(x, share, axis=0), *(values for values, _ in tape)]
         pairs = zip(layers(net.sizes, params), layers(net.sizes, gradient), strict=True)
@@ -103,8 +104,7 @@ class InNumpy:
         return gradient if "p" in of else None, dy if "x" in of else None
 
     def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
-        """One step down the gradient, all [R, ...], in place. Source: Kingma & Ba 2015, algorithm
-        1."""
+        """Step down the gradient, in place; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
         mean, square, *decays = moments
         for decay, beta in zip(decays, (BETA1, BETA2), strict=True):
             decay *= beta
@@ -117,15 +117,15 @@ class InNumpy:
     def descend(
         self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> Float:
-        """A pass of Adam: the sums over minibatches of what the loss records, [N].
+        """Make a pass of Adam; return the sums over minibatches of what the loss records, [N].
 
-        order: of `orders`; steps: [R], of each run in it, 0 of one that takes no part. A run
+        order: from `orders`; steps: [R], rows of each run in it, 0 for an inactive run. A run
         without rows in a minibatch waits."""
         return descend(self, it, loss, order, steps)
 
     @MAY_DIVERGE
     def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
-        """H v for v [R, P], or with iterations the x of H x = v by `conjugate_gradient`."""
+        """Return H v for v [R, P], or with iterations the x of H x = v by `conjugate_gradient`."""
         if iterations:
             return conjugate_gradient(functools.partial(self.curvature, it), v, iterations)
         params, x, log_std = it.params, it.inputs[..., : it.net.sizes[0]], it.params[:, it.log_std]
@@ -139,7 +139,7 @@ class InNumpy:
 
 
 def _tangent(net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
-    """Products of the Jacobian in the parameters with v [N, at least size]: [N, B, out]."""
+    """Multiply the Jacobian in the parameters with v, [N, at least size] -> [N, B, out]."""
     dot, steps = np.zeros_like(x), [*tape, (None, 1)]
     for (w, _), (vw, vb), (values, slope) in zip(
         layers(net.sizes, params), layers(net.sizes, v), steps, strict=True
@@ -151,10 +151,11 @@ def _tangent(net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
 
 @MAY_DIVERGE
 def conjugate_gradient(product: Callable[[Float], Float], b: Float, iterations: int) -> Float:
-    """Approximate solution x of `H x = b`; product: v -> H v, symmetric positive definite.
+    """Solve `H x = b` approximately for x; product: v -> H v, symmetric positive definite.
 
-    b: [R, P] -> [R, P]. A run whose residual has vanished stays where it is. Vectors have double
-    precision, products b's: a rounding of the vectors is magnified up to a hundred times as much.
+    b: [R, P] -> [R, P]. A run whose residual has vanished stays where it is. The vectors have
+    double precision, the products that of b: rounding errors of the vectors are magnified up to a
+    hundred times as much as those of the products.
     """
 
     def dot(a: Float, b: Float) -> Float:
@@ -176,7 +177,7 @@ def conjugate_gradient(product: Callable[[Float], Float], b: Float, iterations: 
 
 
 def layers(sizes: Sequence[int], params: Float) -> Iterator[tuple[Float, Float]]:
-    """Views of the weights [N, in, out] and biases [N, 1, out] of each layer in params."""
+    """Yield views in params of the weights [N, in, out] and biases [N, 1, out] of each layer."""
     at = 0
     for rows, columns in pairwise(sizes):
         weight, bias = at, at + rows * columns
@@ -194,7 +195,7 @@ def _relu(z: Float) -> tuple[Float, Float]:
 
 
 def _silu(z: Float) -> tuple[Float, Float]:
-    s = 0.5 + 0.5 * np.tanh(0.5 * z)  # the sigmoid by tanh cannot overflow
+    s = 0.5 + 0.5 * np.tanh(0.5 * z)  # as tanh, the sigmoid cannot overflow
     return z * s, s * (1 + z * (1 - s))
 
 
@@ -203,7 +204,7 @@ _ACTIVATIONS: dict[Activation, Callable[[Float], tuple[Float, Float]]] = {
     "relu": _relu,
     "silu": _silu,
 }
-"""Pre-activations -> activations and their slopes."""
+"""Functions from pre-activations to activations and their slopes."""
 IN_NUMPY = InNumpy()
 
 
@@ -249,7 +250,7 @@ class InCpp(InNumpy):
         self, net: Shape, params: Float, x: Float, tape: Any, dy: Float, of: str, share: int = 1
     ) -> tuple[Float | None, Float | None]:
         """See `InNumpy`."""
-        dy = np.ascontiguousarray(dy)  # kept here, while its address is in use
+        dy = np.ascontiguousarray(dy)  # kept alive while its address is in use
         gp = np.empty(params.shape, np.float32) if "p" in of else None
         gx = np.empty((*dy.shape[:2], net.sizes[0]), np.float32) if "x" in of else None
         to = (_data(gp), params.shape[1], _data(gx))
@@ -269,7 +270,7 @@ class InCpp(InNumpy):
             return super().descend(it, loss, order, steps)
         params, x = it.params, np.ascontiguousarray(it.inputs)
         assert params.flags.c_contiguous and all(m.flags.c_contiguous for m in it.moments)
-        # Contiguous, and kept here, while their addresses are in use.
+        # Contiguous, and kept alive while their addresses are in use.
         rows, takes = (np.ascontiguousarray(a) for a in (order, steps))
         records, nothing = np.zeros(len(params), np.float32), (None, None, None, 0.0)
         columns = [np.ascontiguousarray(a) for a in loss if isinstance(a, np.ndarray)]
@@ -303,11 +304,11 @@ class InCpp(InNumpy):
 
 
 LINE = 16
-"""Numbers in a line of the cache, at whose beginning C++ has a tape begin."""
+"""Numbers in a cache line, the alignment of tapes in C++."""
 
 
 def _of(net: Shape, params: Float, x: Float, tape: Float | None) -> tuple[Any, ...]:
-    """The arguments that the functions of networks begin with."""
+    """Return the first arguments of the C++ functions `forward` and `backward`."""
     given = (len(params), _data(params), params.strides[0] // 4, x.shape[1])
     return *_shape(net.sizes, net.activation), *given, _data(tape)
 
@@ -319,25 +320,25 @@ def _shape(sizes: tuple[int, ...], activation: Activation) -> tuple[int, Any, in
 
 
 def _data(array: Any) -> int | None:
-    """The address of an array's numbers."""
+    """Return the address of an array's numbers, None for None."""
     if array is None:
         return None
-    try:  # takes a quarter of the time
+    try:  # a quarter of the time of `ctypes.data`
         return ctypes.addressof(ctypes.c_char.from_buffer(array))
     except (BufferError, TypeError, ValueError):  # strided, read-only or empty
         return array.ctypes.data
 
 
 class NoCpp(Exception):
-    """Why networks cannot be computed in C++ here, in a line."""
+    """Networks cannot be computed in C++ here; the message says why, in a line."""
 
 
 @functools.cache
 def in_cpp() -> InCpp:
-    """The kernel in C++, compiled where it has not been. Raises NoCpp."""
+    """Return the kernel in C++, compiling it if necessary. Raises NoCpp if that fails."""
     compiler = os.environ.get("CXX") or next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
-        raise NoCpp(f"there is no C++ compiler: {', '.join(COMPILERS)}, or CXX names one")
+        raise NoCpp(f"there is no C++ compiler: install {' or '.join(COMPILERS)}, or set CXX")
     try:
         version = subprocess.run([compiler, "--version"], capture_output=True, check=True).stdout
         made_of = (SOURCE.read_bytes(), " ".join(FLAGS).encode(), version, _processor())
@@ -349,17 +350,17 @@ def in_cpp() -> InCpp:
     except OSError as error:
         raise NoCpp(str(error)) from error
     if (off := error_of(kernel)) > TOLERANCE:
-        raise NoCpp(f"what {compiler} makes of {SOURCE.name} is wrong by {off:.1g}")
+        raise NoCpp(f"what {compiler} compiles from {SOURCE.name} is wrong by {off:.1g}")
     return kernel
 
 
 COMPILERS = ("c++", "g++", "clang++")
 TOLERANCE = 1e-4
-"""Largest error of the kernel in C++, of numbers about 1."""
+"""Largest error allowed of the kernel in C++, for numbers of about 1."""
 
 
 def _processor() -> bytes:
-    """What the processor can do, as far as Linux tells: code is for this one alone."""
+    """Return the processor's features, where Linux tells them: code is compiled for them alone."""
     try:
         lines = Path("/proc/cpuinfo").read_bytes().splitlines()
     except OSError:
@@ -369,8 +370,8 @@ def _processor() -> bytes:
 
 
 def _compiled(compiler: str, name: str) -> InCpp:
-    """The kernel of that name in the user's cache, compiled where it is not there; where nothing
-    can be kept, as in a read-only home, for this process alone."""
+    """Return the kernel of that name from the user's cache, compiling it if it is not there; where
+    nothing can be stored, as in a read-only home, it is compiled for this process alone."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "circle2d-mj"
     if (cache / name).exists():
         return InCpp(cache / name)
@@ -386,7 +387,7 @@ def _compiled(compiler: str, name: str) -> InCpp:
         )
         kernel = InCpp(made)
         with contextlib.suppress(OSError):
-            made.replace(cache / name)  # whole: others may do so at the same time
+            made.replace(cache / name)  # atomic: other processes may do so too
     return kernel
 
 
@@ -396,7 +397,7 @@ class _Probe(NamedTuple):
 
 
 def error_of(kernel: InNumpy) -> float:
-    """The largest difference of a kernel's float32 from the NumPy kernel in float64."""
+    """Return the largest difference of a kernel in float32 from the NumPy kernel in float64."""
     rng, worst = np.random.default_rng(0), 0.0
     for activation in _ACTIVATIONS:
         net, policy = _Probe((5, 30, 64, 1), activation), _Probe((5, 30, 64, 3), activation)
@@ -418,7 +419,7 @@ def _size(net: Shape) -> int:
 def _results(
     kernel: InNumpy, net: Shape, policy: Shape, params: Float, v: Float, x: Float, **given: Float
 ) -> list[Float]:
-    """What all functions of a kernel return."""
+    """Return what all functions of a kernel compute."""
     y, tape = kernel.forward(policy, params, x, 2)
     found = [kernel.values(policy, params, x, 2)]
     gp, gx = kernel.backward(policy, params, x, tape, given["dy"], "px", 2)
@@ -446,7 +447,7 @@ _kernel: InNumpy = IN_NUMPY
 
 
 def use(backend: Backend) -> None:
-    """Compute float32 by that kernel from now on. Raises NoCpp."""
+    """Use that kernel for float32 from now on. Raises NoCpp."""
     global _kernel
     _kernel = in_cpp() if backend == "c++" else IN_NUMPY
     if isinstance(_kernel, InCpp):
@@ -454,10 +455,10 @@ def use(backend: Backend) -> None:
 
 
 def used() -> Backend:
-    """The kernel of float32."""
+    """Return the name of the kernel for float32."""
     return "numpy" if _kernel is IN_NUMPY else "c++"
 
 
 def of(array: Float) -> InNumpy:
-    """The kernel for numbers like those of an array."""
+    """Return the kernel for numbers of an array's type."""
     return _kernel if array.dtype == np.float32 else IN_NUMPY

@@ -1,4 +1,4 @@
-"""Lagrange multipliers: how a parameter stands for one, and how it follows the cost.
+"""Lagrange multipliers: how they are parametrised, and how they follow the cost.
 
 A multiplier is updated from an explicit estimate of the cost, never from a log of past episodes.
 """
@@ -21,10 +21,10 @@ from agents.lockstep.kernel import Float
 from agents.lockstep.nets import LANES, Moments, adam, no_moments
 
 PID_SMOOTHING = 0.95
-"""Share of the old value in the smoothed cost, whose growth the derivative term sees. Source: code
-of Stooke et al. 2020; OmniSafe."""
+"""Share of the old value in the smoothed cost, from which the derivative term is computed. Source:
+code of Stooke et al. 2020; OmniSafe."""
 Gain = In(0, 1e6)
-"""Numbers are float32: beyond it the first update is not finite."""
+"""Range of gains: in float32 the first update with a larger one is not finite."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class PIDConfig(Settings):
     """Gains of the PID controller of a multiplier."""
 
     pid_kp: Annotated[float, Gain] = 0.1
-    """Gain of the cost above its limit, by pid. Not in the paper; 0.1 as in OmniSafe."""
+    """Proportional gain of the cost above its limit (pid). Not in the paper; 0.1 as in OmniSafe."""
     pid_ki: Annotated[float, Gain] = 0.01
-    """Gain of the sum over epochs of the cost above its limit, by pid. Not in the paper; 0.01 as in
-    OmniSafe."""
+    """Integral gain of the sum over epochs of the cost above its limit (pid). Not in the paper;
+    0.01 as in OmniSafe."""
     pid_kd: Annotated[float, Gain] = 0.01
-    """Gain of the smoothed cost's growth in an epoch, by pid. Not in the paper; 0.01 as in
+    """Derivative gain of the smoothed cost's growth in an epoch (pid). Not in the paper; 0.01 as in
     OmniSafe."""
 
 
@@ -49,7 +49,7 @@ class MultiplierConfig(PIDConfig):
     """Initial parameter of the multiplier, before it is mapped to positive numbers. Paper: 0 for
     SAC-Lag; not specified for WCSAC."""
     multiplier_lr: Annotated[float, Gain] = 3e-4
-    """Step size of the multiplier's parameter by adam or sgd. Paper: 3e-4 for SAC-Lag; not
+    """Step size of the multiplier's parameter with adam or sgd. Paper: 3e-4 for SAC-Lag; not
     specified for WCSAC."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: its parameter ascends by Adam or by the plain gradient
@@ -58,18 +58,18 @@ class MultiplierConfig(PIDConfig):
 
 
 class MultiplierForm(NamedTuple):
-    """How a parameter stands for a multiplier, which cannot be negative."""
+    """Map from an unconstrained parameter to a multiplier, which cannot be negative."""
 
     value: Callable[[Float], Float]
     """parameter -> multiplier"""
     slope: Callable[[Float], Float]
-    """parameter -> derivative of the multiplier"""
+    """parameter -> derivative of the multiplier in the parameter"""
     lowest: float = -math.inf
     """Lower bound of the parameter."""
     law: Callable[[Any, Tensor, Tensor], Tensor] | None = None
-    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update, or one [R, 1],
-    in PyTorch. An algorithm's own law, instead of a `multiplier_optimizer`; its config has
-    `initial_multiplier` alone, or none: the parameter starts at 0."""
+    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update, of the same
+    shape or [R, 1], in PyTorch: an algorithm's own law instead of a `multiplier_optimizer`. The
+    parameter starts at the config's `initial_multiplier`, or at 0 if the config has none."""
 
 
 def softplus(x: Float) -> Float:
@@ -89,23 +89,24 @@ PROJECTED = MultiplierForm(np.copy, np.ones_like, lowest=0.0)
 
 
 class Multiplier(NamedTuple):
-    """A multiplier of an algorithm's rule: what it stands for, follows, and is limited by."""
+    """A multiplier of an algorithm's rule: its form, the cost that it follows, and its bounds."""
 
     form: MultiplierForm
     signal: int = 0
-    """Index of the cost that it follows."""
+    """Index of the cost that the multiplier follows."""
     limit: str = "cost_limit"
-    """Name of the hyper-parameter that limits it."""
+    """Name of the hyper-parameter that limits that cost."""
     highest: str = ""
     """Name of the hyper-parameter that bounds the multiplier, if one does."""
     ahead: bool = False
-    """On-policy: follow an epoch's cost before the policy improves by it, instead of after."""
+    """On-policy: follow an epoch's cost before, instead of after, the policy learns from the
+    epoch."""
     discounted: bool = False
     """On-policy: follow the discounted cost of an episode."""
 
 
 class MultiplierState(NamedTuple):
-    """A multiplier of all runs that ascends a gradient. Lanes of a row are equal: see `nets`."""
+    """State of a multiplier that ascends a gradient. The lanes of a row are equal: see `nets`."""
 
     parameter: NDArray
     """[R, LANES]"""
@@ -113,25 +114,25 @@ class MultiplierState(NamedTuple):
 
 
 class PIDState(NamedTuple):
-    """A multiplier of all runs that a PID controller sets. Lanes of a row are equal."""
+    """State of a multiplier that a PID controller sets. The lanes of a row are equal."""
 
     value: NDArray
     """[R, LANES]: the multiplier itself, at least 0"""
     integral: NDArray
-    """[R, LANES]: the integral term, its gain included, at least 0"""
+    """[R, LANES]: the integral term, which includes its gain, at least 0"""
     smoothed_cost: NDArray
-    """[R, LANES]: exponential average of the costs seen, from 0"""
+    """[R, LANES]: exponential average of the costs seen, starting at 0"""
 
 
 State = MultiplierState | PIDState
 
 
 def initial(multipliers: Sequence[Multiplier], config: Any, runs: int) -> tuple[State, ...]:
-    """The states of a rule's multipliers before the first update.
+    """Return the states of a rule's multipliers before the first update.
 
-    A PID controller starts from the same multiplier as the others, as its integral term. Raises
-    TypeError for a form with a law where the config has an optimiser, too, and ValueError for a law
-    that returns another shape.
+    A PID controller starts with the initial multiplier as its integral term. Raises TypeError if a
+    form has a law and the config also an optimiser, and ValueError for a law that returns a wrong
+    shape.
     """
     return tuple(_initial(multiplier.form, config, runs) for multiplier in multipliers)
 
@@ -152,7 +153,7 @@ def _initial(form: MultiplierForm, config: Any, runs: int) -> State:
 
 
 def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int) -> Float:
-    """The M multipliers of each run, [R, M]."""
+    """Return the M multipliers of each run, [R, M]."""
     columns = [
         state.value[:, :1] if isinstance(state, PIDState) else of.form.value(state.parameter[:, :1])
         for of, state in zip(multipliers, states, strict=True)
@@ -161,11 +162,11 @@ def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int
 
 
 def with_streaks(rule: Any, config: Any) -> Any:
-    """The rule of an algorithm whose config has a `streak_limit`: with one cost more, behind its
-    own, and a multiplier for it that is like its last one, if there is one; of any other the rule
-    itself.
+    """Return the rule with the record cost as its last cost, if the config has a `streak_limit`.
 
-    Raises UserError for a rule whose multiplier has a law of its own.
+    If the rule has multipliers, a copy of the last one follows that cost. Without a `streak_limit`
+    the rule is returned as it is. Raises UserError for a rule whose multiplier has a law of its
+    own.
     """
     if getattr(config, "streak_limit", None) is None:
         return rule
@@ -174,27 +175,27 @@ def with_streaks(rule: Any, config: Any) -> Any:
         return more._replace(limits=(*rule.limits, "streak_limit"))
     like = rule.multipliers[-1]
     if like.form.law:
-        raise UserError("streak_limit needs an algorithm whose multiplier follows an optimizer")
+        raise UserError("streak_limit needs an algorithm whose multiplier has an optimizer")
     added = like._replace(signal=rule.costs, limit="streak_limit", discounted=False)
     return more._replace(multipliers=(*rule.multipliers, added))
 
 
 def limit_names(rule: Any, config: Any) -> dict[int, str]:
-    """The hyper-parameter that limits each cost of a rule, by the number of the cost: see its
-    `limits` and multipliers; nothing for a cost without one."""
+    """Return the name of the hyper-parameter that limits each cost, by the index of the cost, from
+    a rule's `limits` and multipliers; a cost without a limit has no entry."""
     names = dict(enumerate(rule.limits)) | {own.signal: own.limit for own in rule.multipliers}
     return {k: name for k, name in sorted(names.items()) if hasattr(config, name)}
 
 
 def limits(rule: Any, config: Any) -> Float:
-    """The limit of each cost, [C]; NaN for a cost without one."""
+    """Return the limit of each cost, [C]; NaN for a cost without a limit."""
     names = limit_names(rule, config)
     chosen = [getattr(config, names[k]) if k in names else math.nan for k in range(rule.costs)]
     return np.array(chosen)
 
 
 def names(multipliers: Sequence[Multiplier]) -> tuple[str, ...]:
-    """Names of the multipliers in records: multiplier, multiplier_2, ..."""
+    """Return the names of the multipliers in records: multiplier, multiplier_2, ..."""
     return tuple("multiplier" + f"_{k}" * (k > 1) for k in range(1, len(multipliers) + 1))
 
 
@@ -206,10 +207,10 @@ def follow(
     discounted: Float | None = None,
     ahead: bool | None = None,
 ) -> tuple[State, ...]:
-    """The states after an update by each form's law or the config's optimiser.
+    """Return the states after an update by each form's law or the config's optimiser.
 
-    cost, discounted: [R, C]; each multiplier compares that of its signal with its limit. ahead:
-    which multipliers follow now; all by default.
+    cost, discounted: [R, C]; each multiplier compares the column of its `signal` with its limit.
+    ahead: update only multipliers with this value of `ahead`; all by default.
     """
     followed = []
     for one, state in zip(multipliers, states, strict=True):
@@ -239,7 +240,8 @@ def _follow(multiplier: Multiplier, config: Any, state: State, cost: Float) -> S
 def ascend(
     form: MultiplierForm, config: Any, state: MultiplierState, excess: Float
 ) -> MultiplierState:
-    """One gradient step up `λ (cost - d)`: λ rises exactly where the excess [R, 1] is above 0."""
+    """Step up the gradient of `λ (cost - d)`: λ rises exactly where the excess [R, 1] is above
+    0."""
     parameter, moments = state
     gradient = -form.slope(parameter) * excess.astype(parameter.dtype)
     if config.multiplier_optimizer == "adam":
@@ -250,7 +252,7 @@ def ascend(
 
 
 def control(config: Any, state: PIDState, cost: Float, excess: Float) -> PIDState:
-    """One step of the PID controller, `Δ = cost - d`, `(x)₊ = max(x, 0)`; cost, excess: [R, 1].
+    """Take a step of the PID controller, `Δ = cost - d`, `(x)₊ = max(x, 0)`; cost, excess: [R, 1].
 
     `I ← (I + k_I Δ)₊`, `c ← .95 c + .05 cost`, `λ = (k_P Δ + I + k_D (c - c_before)₊)₊`.
     Source: Stooke et al. 2020, "Responsive safety in reinforcement learning by PID Lagrangian

@@ -1,8 +1,9 @@
 """Multi-layer perceptrons with a run axis: many networks of one shape, computed together.
 
 All parameters of a network lie in one flat vector: one optimiser step, one moving average and one
-checkpoint entry serve all of them. It is padded to a multiple of 32 numbers, so that in PyTorch's
-sums a run's numbers fall on the same lanes of the vector units whatever the runs beside it.
+checkpoint entry serve all of them. The vector is padded to a multiple of 32 numbers, so that in
+PyTorch's sums the numbers of a run fall on the same lanes of the vector units, whatever the runs
+beside it.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ class MLP:
         """Length of the flat vector, padding included."""
 
     def initial(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Fresh parameters [size]: uniform in ±1/√(inputs of the layer), as PyTorch draws them."""
+        """Return new parameters [size], uniform in ±1/√(inputs of the layer) as PyTorch draws
+        them."""
         params = np.zeros(self.size, dtype=np.float32)
         for i, layer in enumerate(self.layers(params[None])):
             bound = 1.0 / np.sqrt(self.sizes[i // 2])
@@ -46,23 +48,23 @@ class MLP:
         return params
 
     def forward(self, params: Tensor, x: Tensor, share: int = 1) -> Tensor:
-        """The outputs of networks params [N, at least size] for inputs x [N / share, B, in], each
-        seen by `share` networks, one behind the other: [N, B, out]. Gradients go to both."""
+        """Return the outputs [N, B, out] of networks params [N, at least size] for inputs x
+        [N / share, B, in], each shared by `share` consecutive networks; differentiable in both."""
         return _Network.apply(params, x, self, share)
 
     def forward_each(self, params: Tensor, inputs: Tensor) -> Tensor:
-        """One output of each of K networks a run, params [R, K, size], for the same inputs
-        [R, B, in]: [R, K, B]."""
+        """Return the outputs [R, K, B] of K networks per run with one output each, params
+        [R, K, size], for the same inputs [R, B, in]."""
         count = params.shape[1]
         return self.forward(params.flatten(0, 1), inputs, count).unflatten(0, (-1, count))[..., 0]
 
     def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Views of the weights [N, in, out] and biases [N, 1, out] in params [N, size], in turn."""
+        """Return views of params [N, size]: weights [N, in, out] and biases [N, 1, out] in turn."""
         return [part for layer in kernel.layers(self.sizes, params) for part in layer]
 
 
 class _Network(torch.autograd.Function):
-    """A network's outputs, with the kernel's products in the place of PyTorch's own gradients."""
+    """A network's outputs, with gradients by the kernel's products instead of by PyTorch."""
 
     @staticmethod
     def forward(ctx: Any, params: Tensor, x: Tensor, net: MLP, share: int) -> Tensor:
@@ -77,7 +79,7 @@ class _Network(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
-        """Gradients of parameters and inputs where they are needed."""
+        """Return the gradients in parameters and inputs where they are needed."""
         net, params, x, tape, share = ctx.given
         needed = ctx.needs_input_grad[:2]
         of = "p" * needed[0] + "x" * needed[1]
@@ -90,7 +92,7 @@ class _Network(torch.autograd.Function):
 
 
 def _rows(params: Tensor) -> NDArray:
-    """Parameters [N, at least size] whose rows are contiguous, wherever they begin."""
+    """Return parameters [N, at least size] with contiguous rows; the rows need not be adjacent."""
     array = params.detach().numpy()
     return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
 
@@ -98,9 +100,9 @@ def _rows(params: Tensor) -> NDArray:
 def forward_numpy(
     layers: Sequence[NDArray[np.float32]], x: NDArray[np.float32], activation: Activation = "tanh"
 ) -> NDArray:
-    """`MLP.forward` in numpy: for one step of a rollout several times faster than torch.
+    """`MLP.forward` in NumPy: for one environment step several times faster than PyTorch.
 
-    layers: of `MLP.layers`; x: [N, B, in] -> [N, B, out].
+    layers: from `MLP.layers`; x: [N, B, in] -> [N, B, out].
     """
     for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
         x = _IN_NUMPY[activation](x @ weight + bias)
@@ -108,14 +110,14 @@ def forward_numpy(
 
 
 def _silu(x: NDArray) -> NDArray:
-    return x * (0.5 + 0.5 * np.tanh(0.5 * x))  # the sigmoid by tanh cannot overflow
+    return x * (0.5 + 0.5 * np.tanh(0.5 * x))  # as tanh, the sigmoid cannot overflow
 
 
 _IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}
 
 
 def no_moments(params: Tensor | NDArray) -> Moments:
-    """The moments before the first step."""
+    """Return Adam's moments before the first step."""
     nothing = np.zeros_like(array(params))
     ones = np.ones((len(nothing), *[1] * (nothing.ndim - 1)), nothing.dtype)
     found = (nothing, nothing.copy(), ones, ones.copy())
@@ -125,7 +127,7 @@ def no_moments(params: Tensor | NDArray) -> Moments:
 def adam(
     params: NDArray, gradient: NDArray, moments: Moments, learning_rate: float
 ) -> tuple[NDArray, Moments]:
-    """One step down the gradient; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
+    """Take one step down the gradient; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
     stepped, after = params.copy(), Moments(*(part.copy() for part in moments))
     kernel.of(stepped).adam(stepped, gradient, after, learning_rate)
     return stepped, after
@@ -139,7 +141,7 @@ ACTIVATIONS: dict[Activation, type[nn.Module]] = {
 
 
 def mlp(layers: Sequence[NDArray[np.float32]], activation: Activation) -> nn.Sequential:
-    """Linear layers with the activation between them.
+    """Return linear layers with the activation between them.
 
     layers: weight [in, out] and bias [1, out] of each layer in turn; they are copied.
     """

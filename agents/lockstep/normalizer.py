@@ -1,4 +1,4 @@
-"""Running moments of what runs have seen, and observations normalised by them."""
+"""Running mean and variance of what runs have seen, and normalisation of observations by them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from agents.lockstep import tree
 from agents.lockstep.nets import Activation, mlp
 
 CLIP = 10.0
-"""Bound of normalised numbers, as in gymnasium and Stable-Baselines3."""
+"""Bound to which normalised numbers are clipped, as in gymnasium and Stable-Baselines3."""
 
 
 class RunningMoments:
-    """Mean and variance of the numbers [*shape] that each of R runs has counted so far."""
+    """Mean and variance, for each of R runs, of the numbers [*shape] counted so far."""
 
     def __init__(self, runs: int, *shape: int) -> None:
         self._moments = np.zeros((runs, 3, *shape))  # count, mean, sum of squared deviations
@@ -35,17 +35,17 @@ class RunningMoments:
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """[R, *shape]: 0 of a run that has counted nothing."""
+        """[R, *shape]: 0 for a run that has counted nothing."""
         return self._moments[:, 1]
 
     @property
     def variance(self) -> NDArray[np.float64]:
-        """[R, *shape]: 0 of a run that has counted nothing."""
+        """[R, *shape]: 0 for a run that has counted nothing."""
         return self._moments[:, 2] / np.maximum(self._moments[:, 0], 1)
 
     @property
     def empty(self) -> NDArray[np.bool_]:
-        """[R, *shape]: whether a run has counted nothing."""
+        """[R, *shape]: mask of the runs that have counted nothing."""
         return self._moments[:, 0] == 0
 
     def state_dict(self) -> dict[str, NDArray]:
@@ -58,7 +58,7 @@ class RunningMoments:
 
 
 class Inputs(NamedTuple):
-    """The inputs that the networks of R runs get for observations: `scale · x`, or with a mean
+    """Map from observations of R runs to the inputs of their networks: `scale · x`, or with a mean
     `clip(scale · (x - mean), -10, 10)`."""
 
     scale: NDArray[np.float32]
@@ -67,8 +67,8 @@ class Inputs(NamedTuple):
     """[R, observation size]"""
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Inputs for observations [R, N, at least observation size]; where there is a mean, numbers
-        behind the observation, which critics see, stay as they are."""
+        """Return the inputs for observations [R, N, at least observation size]. With a mean,
+        numbers behind the observation, which only critics see, stay as they are."""
         if self.mean is None:
             return self.scale * observation
         size = self.mean.shape[-1]
@@ -79,7 +79,7 @@ class Inputs(NamedTuple):
     def module(
         self, run: int, layers: Sequence[NDArray[np.float32]], activation: Activation
     ) -> nn.Sequential:
-        """A run's network in PyTorch on observations as the task gives them; layers: of `mlp`."""
+        """Return a run's network in PyTorch for the task's observations; layers: as for `mlp`."""
         if self.mean is None:
             first, *others = layers
             return mlp([self.scale[..., None] * first, *others], activation)
@@ -88,7 +88,7 @@ class Inputs(NamedTuple):
 
 
 class Normalized(nn.Module):
-    """`clip(scale · (x - mean), -10, 10)`."""
+    """Module that computes `clip(scale · (x - mean), -10, 10)`."""
 
     mean: Tensor
     scale: Tensor
@@ -99,20 +99,20 @@ class Normalized(nn.Module):
         self.register_buffer("scale", torch.from_numpy(scale.copy()))
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Inputs for observations [..., size], of the same shape."""
+        """Return the inputs for observations [..., size], of the same shape."""
         return ((observation - self.mean) * self.scale).clamp(-CLIP, CLIP)
 
 
 class Normalizer(RunningMoments):
-    """Running moments of the observations that runs have acted on.
+    """Running moments of the observations on which runs have acted.
 
-    An epoch's actions and its update see the moments of the epochs before, in the first epoch mean
-    0 and variance 1. Source: `NormalizeObservation` of gymnasium, `VecNormalize` of
-    Stable-Baselines3, which bring them up to date at every step.
+    The actions and the update of an epoch use the moments of the epochs before; in the first epoch
+    mean 0 and variance 1. Source: `NormalizeObservation` of gymnasium and `VecNormalize` of
+    Stable-Baselines3, which update the moments at every environment step.
     """
 
     def count(self, observation: NDArray[np.float32], length: NDArray[np.int64]) -> None:
-        """Count the first length [R·E] steps of episodes [T, R·E, at least observation size]."""
+        """Count the first `length` [R·E] steps of episodes [T, R·E, at least observation size]."""
         runs, _, size = self._moments.shape
         episodes = len(length) // runs
         for run in range(runs):
@@ -122,7 +122,7 @@ class Normalizer(RunningMoments):
                 self.add(run, seen.astype(np.float64))
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The state for a checkpoint, named as a part of the policy."""
+        """Return the state for a checkpoint, named as a part of the policy."""
         return {"actor.observations": self._moments}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
@@ -131,20 +131,20 @@ class Normalizer(RunningMoments):
 
     @property
     def inputs(self) -> Inputs:
-        """The networks' inputs by the present moments."""
+        """The networks' inputs, by the current moments."""
         scale = np.where(self.empty, 1.0, 1.0 / np.sqrt(self.variance + 1e-8))
         return Inputs(scale.astype(np.float32), self.mean.astype(np.float32))
 
 
 class InputConfig(Settings):
-    """How the networks of an algorithm see observations; a family's config declares both fields."""
+    """How an algorithm's networks see observations; the config of a family declares both fields."""
 
     if TYPE_CHECKING:
         input_scale: float | tuple[float, ...]
         normalize_observations: bool
 
     def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
+        """Check the values. Raises UserError naming one that is not allowed."""
         super().__post_init__()
         if self.normalize_observations and self.input_scale != 1.0:
             raise UserError(
@@ -153,9 +153,9 @@ class InputConfig(Settings):
             )
 
     def inputs(self, normalizer: Normalizer | None) -> Inputs:
-        """The networks' inputs; normalizer: of the runs, if they have one."""
+        """Return the networks' inputs; normalizer: that of the runs, if they have one."""
         return normalizer.inputs if normalizer else Inputs(np.asarray(self.input_scale, np.float32))
 
     def normalizer(self, runs: int, observation_size: int) -> Normalizer | None:
-        """The normalizer of runs, if they have one."""
+        """Return a new normalizer for the runs, or None without `normalize_observations`."""
         return Normalizer(runs, observation_size) if self.normalize_observations else None

@@ -1,5 +1,5 @@
-"""Functions of an algorithm's rule with their gradients: by PyTorch, or in the closed form that a
-built-in function has beside it."""
+"""Gradients of the functions of an algorithm's rule: by PyTorch, or in closed form where a built-in
+function has one."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from agents.lockstep.backend import array, tensor
 from agents.lockstep.kernel import Float
 
 Pull = Callable[[Float], Float]
-"""A gradient in a function's values -> that in the numbers that the values are of."""
+"""Map from the gradient in a function's values to the gradient in its argument."""
 Closed = TypeVar("Closed", bound=Callable[..., tuple[Float, Pull]])
 _CLOSED: dict[int, tuple[Callable, Callable[..., tuple[Float, Pull]]]] = {}
-"""By the identity of a function, which the entry keeps alive; another, even one that wraps it, has
-no closed form."""
+"""Closed forms by the identity of their function, which the entry keeps alive; any other function,
+even a wrapper, has none."""
 
 
 def closed_form(function: Callable) -> Callable[[Closed], Closed]:
-    """Decorate the closed form of a function of a rule: (config, numbers, ...) as arrays -> values
+    """Decorate the closed form of a rule's function: (config, argument, ...) as arrays -> values
     and `Pull`."""
 
     def closed(form: Closed) -> Closed:
@@ -32,12 +32,12 @@ def closed_form(function: Callable) -> Callable[[Closed], Closed]:
 
 
 def has_closed_form(function: Callable) -> bool:
-    """Whether `pulled` needs no PyTorch."""
+    """Whether `pulled` needs no PyTorch for a function."""
     return id(function) in _CLOSED
 
 
 def pulled(function: Callable, config: Any, at: Float, *others: Any) -> tuple[Float, Pull]:
-    """The values of a rule's function, and how gradients in them go to the numbers `at`."""
+    """Return the values of a rule's function at `at`, and the `Pull` of gradients to `at`."""
     if id(function) in _CLOSED:
         return _CLOSED[id(function)][1](config, at, *others)
     leaf = tree.tensors(at).requires_grad_()

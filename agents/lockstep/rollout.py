@@ -1,4 +1,4 @@
-"""Whole episodes of every run, collected in step, and as algorithms learn from them."""
+"""Whole episodes of every run, collected in lockstep, and as algorithms learn from them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from emcc.streaks import weighted
 
 
 class Rollout(NamedTuple):
-    """Episodes side by side; steps at or beyond an episode's length do not belong to it."""
+    """Episodes side by side; steps from an episode's `length` on do not belong to it."""
 
     observation: NDArray[np.float32]
     """[T, N, observation size]"""
     action: NDArray[np.float32]
-    """[T, N, action size]: as the policy chose it; the environment took it clipped to [-1, 1]"""
+    """[T, N, action size]: as the policy chose it; the environment got it clipped to [-1, 1]"""
     reward: NDArray[np.float64]
     """[T, N]"""
     cost: NDArray[np.float64]
@@ -29,23 +29,23 @@ class Rollout(NamedTuple):
     terminated: NDArray[np.bool_]
     """[T, N]: the episode ended in a terminal state"""
     truncated: NDArray[np.bool_]
-    """[T, N]: the episode was cut off, by a time limit for instance"""
+    """[T, N]: the episode was truncated, for example by a time limit"""
     length: NDArray[np.int64]
-    """[N]: steps of each episode; 0 where there was none"""
+    """[N]: environment steps of each episode; 0 where there was no episode"""
     failure: NDArray[np.object_]
-    """[N]: what makes the episode void: the name of a number that was not finite in float32
-    ("action", "observation", "reward" or the cost's), or the TaskFailure of its environment; else
-    empty"""
+    """[N]: why the episode is void: the name of what was not finite in float32 ("action",
+    "observation", "reward" or the name of a cost), or the TaskFailure of its environment; "" for a
+    valid episode"""
 
     def of(self, episodes: slice) -> Rollout:
-        """Some of the episodes."""
+        """Return some of the episodes."""
         *columns, length, failure = self
         columns = [column[:, episodes] for column in columns]
         return Rollout._make([*columns, length[episodes], failure[episodes]])
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """Mask of the episodes that are void, [N]."""
+        """Mask of the void episodes, [N]."""
         return self.failure != ""
 
     @property
@@ -54,7 +54,7 @@ class Rollout(NamedTuple):
         return np.arange(len(self.reward))[:, None] < self.length
 
     def terminal(self, time_limit: str) -> NDArray[np.bool_]:
-        """Steps that are terminal, [T, N]: with "terminal" also those that were cut off."""
+        """Return the mask of terminal steps, [T, N]; with "terminal" truncated ones count too."""
         return self.terminated | self.truncated if time_limit == "terminal" else self.terminated
 
     @property
@@ -68,23 +68,23 @@ class Rollout(NamedTuple):
         return self._sums(self.cost)
 
     def discounted_costs(self, discount: float) -> NDArray[np.float64]:
-        """Discounted return of each cost and episode, [N, C]."""
+        """Return the discounted return of each cost and episode, [N, C]."""
         return self._sums(self.cost * discount ** np.arange(len(self.cost))[:, None, None])
 
     def _sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums over each episode, [N, ...], added in the order of time. `sum` would choose an order
-        by the array's shape, and so by how long the other episodes are."""
+        """Sum over each episode in the order of time, [N, ...]. The order in which `sum` adds
+        depends on the array's shape, and so on the length of the other episodes."""
         sums = np.cumsum(values, axis=0)[self.length - 1, np.arange(len(self.length))]
         sums[self.length == 0] = 0.0
         return sums
 
 
 FAILURE = "agents.failure"
-"""Key of the info for failures of single environments, [N]: TaskFailures, None elsewhere."""
+"""Key of the info for failures of single environments, [N]: TaskFailure, or None."""
 
 
 def require_info(source: object, info: Mapping[str, Any], names: Sequence[str]) -> None:
-    """Raise UserError, naming the source, where the info of a step lacks a number."""
+    """Raise UserError, naming the source, if the info of a step lacks one of the names."""
     for name in names:
         if name not in info:
             given = sorted(key for key in info if not key.startswith("_")) or "nothing"
@@ -99,14 +99,14 @@ deterministic policy) -> actions [R, N, A]"""
 
 
 LARGEST = float(np.finfo(np.float32).max)
-"""Numbers beyond it count as infinite."""
+"""Numbers beyond this count as infinite."""
 MAX_STEPS = 10_000
-"""Steps after which an episode of a task without a time limit counts as one that never ends."""
+"""Steps after which an episode of a task without a time limit is taken to never end."""
 ENDS = (
     "the task needs a time limit, such as --task-parameters max_episode_steps 1000, or in Python "
     'task_parameters={"max_episode_steps": 1000}'
 )
-"""Way out for an episode that never ends."""
+"""Remedy for an episode that never ends."""
 
 
 def collect(
@@ -117,15 +117,15 @@ def collect(
     costs: Sequence[str] = ("cost",),
     most_steps: int = MAX_STEPS,
 ) -> Rollout:
-    """One whole episode of every environment, each reset with its seed.
+    """Play one whole episode in every environment, each reset with its seed.
 
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
-    [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
-    episode is wanted, all by default; costs: their names in the infos; most_steps: after which an
-    episode counts as one that never ends. An environment whose episode has ended waits for the
-    others, and its further steps are left out; so does one whose action is not finite, and one that
-    fails alone (`FAILURE`). Raises UserError where the environment lacks a cost, TaskFailure where
-    it has no end, and where a reset of some environments changes others.
+    [N, observation size] -> actions [N, action size]; active: [N], the environments that play an
+    episode, all by default; costs: their names in the infos; most_steps: number after which an
+    episode is taken to never end. An environment waits for the others, and its further steps are
+    left out, once its episode has ended, its action is not finite, or it alone fails (`FAILURE`).
+    Raises UserError if an info lacks a cost, TaskFailure if an episode never ends or the reset of
+    some environments changes others.
     """
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)
@@ -140,16 +140,16 @@ def collect(
     observation, info = _reset(envs, seed=list(seeds))
     note_failures(info)
     steps: list[tuple] = []
-    while running.any() or not steps:  # at least once: arrays of no step have no shape
+    while running.any() or not steps:  # at least one step, for the shapes of the arrays
         if len(steps) == most_steps:
             raise TaskFailure(
                 f"an episode of {envs} has not ended after {most_steps} steps: {ENDS}"
             )
-        with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
+        with np.errstate(over="ignore", invalid="ignore"):  # the next line finds them
             action = act(observation)
         if not np.isfinite(action).all():
             finite = np.all(np.isfinite(action), axis=-1)
-            seen = np.isfinite(observation).all(axis=-1)  # no reset's: `_checked` has the others
+            seen = np.isfinite(observation).all(axis=-1)  # of a reset: `_checked` finds the others
             failure[running & ~finite] = np.where(seen, "action", "observation")[running & ~finite]
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))
@@ -157,7 +157,7 @@ def collect(
         following, reward, terminated, truncated, info = envs.step(clipped)
         note_failures(info)
         require_info(envs, info, costs)
-        # In float64 from here on: an episode's sum in float32 loses digits.
+        # In float64 from here on: sums over episodes in float32 lose digits.
         reward = np.array(reward, dtype=np.float64)
         cost = np.stack([info[name] for name in costs], axis=-1).astype(np.float64)
         following = np.asarray(following, dtype=np.float32)
@@ -183,10 +183,10 @@ def _reset(envs: VectorEnv, **kwargs: Any) -> tuple[NDArray[np.float32], Mapping
 
 
 def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
-    """The rollout with episodes marked that hold negative costs, or numbers that are not finite in
-    float32, in which networks learn; these are NaN then."""
+    """Mark episodes with negative costs, or with numbers that are not finite in float32, in which
+    networks learn, as void; such numbers become NaN."""
     failure = np.full_like(rollout.failure, "")
-    # The first of each environment: the others are written over.
+    # In reverse, so that the first of each environment remains.
     for step, env, k in np.argwhere((rollout.cost < 0) & rollout.during[..., None])[::-1]:
         value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
         failure[env] = TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
@@ -197,15 +197,15 @@ def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout
             values[~finite] = np.nan
             void = (~finite.all(axis=-1) & rollout.during).any(axis=0)
             failure[void & (failure == "")] = name
-    failure = np.where(failure == "", rollout.failure, failure)  # else the last action
+    failure = np.where(failure == "", rollout.failure, failure)  # otherwise as `collect` noted
     return rollout._replace(failure=failure)
 
 
 def learned(rollout: Rollout, config: Any, costs: int) -> Rollout:
-    """The rollout as an algorithm learns from it: as its config has `relabelled` it, where it does;
-    the first `costs` of its costs; observations times `config.input_scale`; with a
-    `config.streak_weight`, costs that grow along a streak, and behind the observations each cost's
-    streak so far, in steps, for the critics: see `critic_inputs`."""
+    """Return the rollout as an algorithm learns from it: as `config.relabelled` returns it, if
+    there is such a method; the first `costs` of its costs; observations times `config.input_scale`.
+    With a `config.streak_weight`, costs grow along a streak, and observations end with each cost's
+    current streak, in steps, for the critics: see `critic_inputs`."""
     if hasattr(config, "relabelled"):
         rollout = config.relabelled(rollout)
     scale = input_scale(config)
@@ -227,23 +227,24 @@ def learned(rollout: Rollout, config: Any, costs: int) -> Rollout:
 
 
 def input_scale(config: Any) -> NDArray[np.float32]:
-    """Factors on observations: [] for all of their numbers, or [observation size]."""
+    """Return the factor of observations: [], or one for each number, [observation size]."""
     return np.asarray(config.input_scale, np.float32)
 
 
 def streak_weight(config: Any) -> float:
-    """Weight of streaks in the learned cost; 0 for an algorithm that limits no cost."""
+    """Return the weight of streaks in the learned cost; 0 for an algorithm that limits no cost."""
     return getattr(config, "streak_weight", 0.0)
 
 
 def critic_inputs(config: Any, observation_size: int, costs: int) -> int:
-    """Numbers that critics see of a state. Where costs grow along a streak they see its length as
-    well, without which the learned task would not be Markov; the policy never does."""
+    """Return how many numbers critics see of a state. Where costs grow along a streak, critics also
+    see its length, without which the learned task would not be Markov; the policy never sees it."""
     return observation_size + costs * bool(streak_weight(config))
 
 
 def streaks(costs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Consecutive cost steps up to each step of costs [T, ...], itself included; 0 at safe ones."""
+    """Count consecutive cost steps up to each step of costs [T, ...], inclusive; 0 at safe
+    steps."""
     lengths = np.zeros(costs.shape)
     streak = np.zeros(costs.shape[1:])
     for t, at_step in enumerate(costs):

@@ -1,4 +1,4 @@
-"""A limit of the longest streak: the record cost as one more cost, and its tail."""
+"""A limit of the longest streak: the record cost as a further cost, and its tail."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from emcc.augmented import augmented
 from emcc.streak_cost import Longest, record_name
 
 EPISODES = 100
-"""Last episodes of a run whose quantile counts."""
+"""Number of a run's last episodes over which the quantile is taken."""
 RECENT = 10
-"""Last episodes of a run that an off-policy multiplier follows."""
+"""Number of a run's last episodes that an off-policy multiplier follows."""
 SEEN = 2
-"""Numbers of streaks that observations end with."""
+"""How many numbers about streaks observations end with."""
 
 
 class Streaks(Longest):
-    """Streaks of a task in which an episode of a wrong cost is void, and named."""
+    """Streaks of the first cost; `collect` marks episodes with invalid costs as failed."""
 
     strict = False
 
@@ -35,13 +35,13 @@ class StreakLimit(Settings):
     """A second constraint: the longest streak."""
 
     streak_limit: Annotated[float, In(0, 1e9)] | None = None
-    """Limit, in steps, of the longest streak of cost steps in an episode, mean over an epoch's
-    episodes, off-policy over the last 10: a second cost, `record_cost`, with a multiplier of its
-    own. Policy and critics then see the streak so far and the longest so far, both over 20. Not in
-    the paper; None: none."""
+    """Limit, in steps, of an episode's longest streak of cost steps, mean over an epoch's episodes,
+    off-policy over the last 10: a second cost, `record_cost`, with a multiplier of its own. Policy
+    and critics then see the current and the longest streak so far, both divided by 20. Not in the
+    paper; None: none."""
 
     def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
+        """Check the values. Raises UserError naming one that is not allowed."""
         super().__post_init__()
         weight = getattr(self, "streak_weight", 0.0)
         if self.streak_limit is not None and weight:
@@ -51,37 +51,37 @@ class StreakLimit(Settings):
             )
 
     def added_costs(self, costs: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the costs that `wrap` adds."""
+        """Return the names of the costs that `wrap` adds."""
         return () if self.streak_limit is None else (record_name(costs[0]),)
 
     def wrap(self, env: Any, costs: tuple[str, ...], time_limit: int | None) -> Any:
-        """The environment whose observations end with the streaks of the first cost, where they
-        are limited."""
+        """Return the environment; if streaks are limited, its observations end with those of the
+        first cost."""
         return env if self.streak_limit is None else augmented(env, Streaks(cost=costs[0]))
 
 
 @dataclass(frozen=True)
 class StreakTailLimit(StreakLimit):
-    """That constraint of algorithms with a multiplier, which can follow its tail."""
+    """The constraint for algorithms with a multiplier, which can follow the tail of the streaks."""
 
     streak_alpha: Annotated[float, In(above=0, high=1)] = 1.0
-    """Share α of episodes, those with the longest streaks, whose mean `streak_limit` limits: CVaR_α
-    of the longest streak, by its quantile in the run's last 100 episodes. Not in the paper; 1: all
-    of them."""
+    """Share α of episodes with the longest streaks whose mean `streak_limit` limits: CVaR_α of the
+    longest streak, with the quantile from the run's last 100 episodes. Not in the paper; 1: all
+    episodes."""
 
     def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
+        """Check the values. Raises UserError naming one that is not allowed."""
         super().__post_init__()
         if self.streak_limit is None and self.streak_alpha != 1:
             raise UserError(f"streak_alpha needs a streak_limit, got {self.streak_alpha} alone")
 
 
 class StreakTail:
-    """The (1 - α) quantile η of the longest streaks of R runs' last episodes.
+    """The (1 - α) quantile η of the longest streaks in the last episodes, for each of R runs.
 
-    With the record costs c of an episode of the longest streak L, those beyond η add up to
-    `(L - η)₊`, and `CVaR_α(L) = η + E[(L - η)₊] / α`. Source: Rockafellar & Uryasev 2000,
-    "Optimization of conditional value-at-risk", theorem 1.
+    In an episode with the longest streak L, the record costs beyond η sum to `(L - η)₊`, and
+    `CVaR_α(L) = η + E[(L - η)₊] / α`. Source: Rockafellar & Uryasev 2000, "Optimization of
+    conditional value-at-risk", theorem 1.
     """
 
     def __init__(self, runs: int, alpha: float) -> None:
@@ -89,7 +89,7 @@ class StreakTail:
         self._last = np.full((runs, EPISODES), np.nan)
 
     def count(self, rollout: Rollout) -> None:
-        """Count an epoch's episodes, N = R·E of them, whose last cost is the record cost."""
+        """Count the N = R·E episodes of an epoch, whose last cost is the record cost."""
         runs = len(self._last)
         longest = rollout.cost_returns[:, -1].reshape(runs, -1)
         for run in np.flatnonzero(rollout.length.reshape(runs, -1).any(axis=1)):
@@ -97,7 +97,7 @@ class StreakTail:
 
     @property
     def level(self) -> NDArray[np.float64]:
-        """η, [R]: 0 of a run without episodes, and where all episodes count."""
+        """η, [R]: 0 for a run without episodes, and where all episodes count (α = 1)."""
         level = np.zeros(len(self._last))
         for run, last in enumerate(self._last if self._alpha < 1 else ()):
             held = last[~np.isnan(last)]
@@ -106,7 +106,7 @@ class StreakTail:
 
     @property
     def recent(self) -> NDArray[np.float64]:
-        """`η + E[(L - η)₊] / α` over the last episodes, `RECENT` of them, [R]; 0 of a run without
+        """`η + E[(L - η)₊] / α` over the `RECENT` last episodes, [R]; 0 for a run without
         episodes."""
         level, own = self.level, self._last[:, -RECENT:]
         beyond = np.maximum(np.nan_to_num(own) - level[:, None], 0.0).sum(axis=1)
@@ -114,8 +114,8 @@ class StreakTail:
         return level + beyond / count / self._alpha
 
     def of(self, rollout: Rollout) -> tuple[Rollout, NDArray[np.float64]]:
-        """Count an epoch's episodes. The rollout with the record costs beyond η, over α; and η,
-        [R]."""
+        """Count an epoch's episodes; return the rollout with record costs only beyond η, divided by
+        α, and η, [R]."""
         self.count(rollout)
         level = self.level
         longest = longest_at_records(rollout)
@@ -123,7 +123,7 @@ class StreakTail:
         return with_last_cost(rollout, (longest > each) / self._alpha), level
 
     def beyond(self, longest: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The record costs beyond η, over α, of steps [R, B] that `longest_at_records` tells."""
+        """Return record costs only beyond η, over α, from `longest_at_records` of steps [R, B]."""
         return ((longest > self.level[:, None]) / self._alpha).astype(np.float32)
 
     def state_dict(self) -> dict[str, NDArray]:
@@ -137,14 +137,14 @@ class StreakTail:
 
 
 def longest_at_records(rollout: Rollout) -> NDArray[np.float64]:
-    """The longest streak so far at steps with a record cost, the last of the costs; 0 at others:
-    [T, N]. Whether a step counts can be told by any η later."""
+    """Return, [T, N], the longest streak so far at steps with a record cost, the last of the costs,
+    and 0 at all others. With any later η, this tells which steps count."""
     record = rollout.cost[..., -1]
     return record * np.cumsum(record, axis=0)
 
 
 def with_last_cost(rollout: Rollout, values: NDArray) -> Rollout:
-    """The rollout with values [T, N] in the place of its last cost."""
+    """Return the rollout with values [T, N] instead of its last cost."""
     cost = rollout.cost.copy()
     cost[..., -1] = values
     return rollout._replace(cost=cost)

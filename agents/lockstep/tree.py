@@ -1,4 +1,4 @@
-"""Nested tuples of arrays and tensors with a run axis: choosing by run, saving, loading.
+"""Nested tuples of arrays and tensors with a run axis: selection by run, saving, loading.
 
 None stands for a part that an algorithm does not have.
 """
@@ -19,7 +19,7 @@ LEAF = (np.ndarray, Tensor)
 
 
 def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
-    """The new state of the runs in mask [R], the old state of the others."""
+    """Return the new state for the runs in mask [R], the old state for the others."""
     return new if mask.all() else _select(mask, new, old)
 
 
@@ -33,7 +33,7 @@ def _select(mask: NDArray[np.bool_], new: Any, old: Any) -> Any:
 
 
 def copy(tree: Any) -> Any:
-    """The tree with numbers of its own."""
+    """Return a deep copy of the tree."""
     if tree is None:
         return tree
     if isinstance(tree, LEAF):
@@ -43,14 +43,14 @@ def copy(tree: Any) -> Any:
 
 
 def tensors(tree: Any) -> Any:
-    """The tree with contiguous tensors in the place of its arrays."""
+    """Return the tree with contiguous tensors instead of arrays."""
     if isinstance(tree, np.ndarray):
         return tensor(np.ascontiguousarray(tree))
     return tree if isinstance(tree, Tensor) else _like(tree, map(tensors, tree))
 
 
 def finite(tree: Any) -> NDArray[np.bool_]:
-    """Mask of the runs that hold only finite numbers, [R]."""
+    """Return a mask [R] of the runs whose numbers are all finite."""
     return np.all([np.isfinite(leaf).reshape(len(leaf), -1).all(1) for leaf in _leaves(tree)], 0)
 
 
@@ -65,7 +65,7 @@ def _leaves(tree: Any) -> Iterator[NDArray]:
 def expect(
     name: str, arrays: dict[str, NDArray], shape: tuple[int, ...], dtype: DTypeLike
 ) -> NDArray:
-    """The array of that name. KeyError where it is missing, ValueError where it is another kind."""
+    """Return the array of that name. Raises KeyError if missing, ValueError if it does not fit."""
     found = arrays[name]
     if found.shape != shape or found.dtype != dtype:
         given = f"{list(found.shape)} {found.dtype}"
@@ -74,7 +74,7 @@ def expect(
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
-    """Every array under its dotted name."""
+    """Return every array by its dotted name."""
     if tree is None:
         return {}
     if isinstance(tree, LEAF):
@@ -83,8 +83,8 @@ def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
 
 
 def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
-    """The tree `like` with the arrays that `flatten` named. KeyError for a missing one, ValueError
-    for one of another shape or type."""
+    """Return the tree `like` with the arrays that `flatten` named. Raises KeyError for a missing
+    array, ValueError for one of another shape or type."""
     if like is None:
         return None
     if isinstance(like, LEAF):
@@ -95,7 +95,7 @@ def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
 
 
 def _named(tree: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    """Parts of a tuple by their dotted names: those of its fields, or their places."""
+    """Return the parts of a tuple by dotted names: of their fields, or else their indices."""
     names = getattr(tree, "_fields", map(str, range(len(tree))))
     dot = f"{prefix}." if prefix else ""
     return ((f"{dot}{name}", part) for name, part in zip(names, tree, strict=True))
