@@ -131,7 +131,7 @@ def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys):
     edit_results(copy, **{f"{TASK}__6__failure": np.array("x")})
     capsys.readouterr()
     assert main(["heatmap", str(copy)]) == 2
-    assert "seeds must be some of [5, 6] not failed" in capsys.readouterr().err
+    assert "seeds must be among [5, 6], not failed" in capsys.readouterr().err
 
 
 def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
