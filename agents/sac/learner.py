@@ -1,4 +1,4 @@
-"""The epoch of the off-policy family: one episode, then some gradient steps."""
+"""The epoch of the off-policy family: one episode, then gradient steps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from agents.sac.replay import STARTS, Batch, Novelty, Recent, Replay, ReturnScal
 from agents.sac.update import SACConfig
 
 METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entropy")
-"""Records of `sac.update` that are one number a run; risks and multipliers come before the last."""
+"""Records of `sac.update` with one number per run; multipliers and risks come before the last."""
 
 
 def _act(
@@ -44,7 +44,7 @@ def _act(
 
 
 class OffPolicy:
-    """The runs of one algorithm of the SAC family: their networks and their replay."""
+    """The runs of one algorithm of the SAC family: their networks and replay buffers."""
 
     takes = (SACConfig, sac.CostRule)
     off_policy = True
@@ -87,15 +87,15 @@ class OffPolicy:
         self._scale = ReturnScale(len(seeds), config.discount) if running else None
 
     def policy(self) -> Policy:
-        """The policy of every run as it stands now."""
+        """Return the current policy of every run."""
         net = self.nets.actor
         layers = net.layers(self._state.actor)
         return functools.partial(_act, layers, net.activation, self._inputs)
 
     def module(self, run: int) -> nn.Module:
-        """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
+        """Return a run's deterministic policy in PyTorch: observations -> actions in [-1, 1]."""
         layers = [layer[run] for layer in self.nets.actor.layers(self._state.actor)]
-        layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
+        layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # the mean's
         return self._inputs.module(run, layers, self.nets.actor.activation).append(nn.Tanh())
 
     @property
@@ -103,9 +103,9 @@ class OffPolicy:
         return self.config.inputs(self._normalizer)
 
     def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
-        """Actions of the runs in an epoch: random until `random_steps`, then the policy's.
+        """Return the function that acts in an epoch: random until `random_steps`, then the policy.
 
-        steps: [R], environment steps each run has taken before.
+        steps: [R], environment steps that each run has taken before.
         """
         policy, shape = self.policy(), (self.action_size,)
         noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
@@ -125,15 +125,15 @@ class OffPolicy:
         return act if (steps < self.config.random_steps).any() else act_by_policy
 
     def _random(self, rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float32]:
-        """Uniformly random actions, correlated over time with a `random_exponent`."""
+        """Draw uniformly random actions; with a `random_exponent` they are correlated over time."""
         exponent = self.config.random_exponent
         return correlated_uniform(rng, size, exponent) if exponent else uniform(rng, size)
 
     def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
         """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.
 
-        Returns the mean of each of `metrics` over the steps, [R, metrics]; NaN for runs that took
-        none, since their replay holds less than a batch.
+        Returns the means of `metrics` over the gradient steps, [R, metrics]; NaN for runs that take
+        none: they have no part, or their replay buffer holds less than a batch.
         """
         length = np.where(active, rollout.length, 0)
         of_rewards = of_costs = self.config.time_limit
@@ -158,8 +158,7 @@ class OffPolicy:
         return metrics
 
     def _update(self, epoch: int, learning: NDArray[np.bool_]) -> NDArray:
-        """Take an epoch's gradient steps; learning: [R], runs that take them. Returns as `learn`
-        does."""
+        """Take an epoch's gradient steps; learning: [R], runs that do. Returns as `learn`."""
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
         before, self._state, total = self._state, tree.copy(self._state), 0.0
@@ -175,7 +174,8 @@ class OffPolicy:
         return np.where(learning[:, None], means, np.nan)
 
     def _followed(self, noise: sac.UpdateNoise) -> Float | None:
-        """Costs that multipliers follow instead of a batch's risk, [R, C]: see `multiplier_of`."""
+        """Return the costs that multipliers follow instead of a batch's risk, [R, C], or None: see
+        `multiplier_of`."""
         if self._recent is None:
             return None
         if self._multiplier_of == "episode":
@@ -187,9 +187,9 @@ class OffPolicy:
         return sac.risk_at(*what, seen, noise.start_action, weight)
 
     def _as_learned(self, batch: Batch) -> Batch:
-        """The batch with its rewards in the running scale, and with `novelty_bonus`, by what the
-        runs have seen until now, its record costs beyond the quantile of now, and its observations
-        as networks see them."""
+        """Return the batch as networks learn from it, by the current statistics of the runs:
+        rewards are scaled and include the `novelty_bonus`, record costs count beyond the quantile,
+        and observations are normalised."""
         if self._tail:
             beyond = self._tail.beyond(batch.cost[:, -1])
             batch = batch._replace(cost=np.concatenate([batch.cost[:, :-1], beyond[:, None]], 1))
@@ -205,10 +205,10 @@ class OffPolicy:
         return batch
 
     def _control_multipliers(self, risks: Float) -> None:
-        """One step of PID multipliers; risks: [R, C], means over the epoch's gradient steps.
+        """Take one step of PID multipliers; risks: [R, C], means over the epoch's gradient steps.
 
-        Once an epoch, as on-policy: the gains are those of a step of the controller, and the
-        derivative of single minibatches' means would be that of their noise.
+        The controller steps once per epoch, as on-policy: the gains are meant for that, and the
+        derivative term of single minibatches would be mostly noise.
         """
         if any(isinstance(state, PIDState) for state in self._state.multipliers):
             multipliers, states = self.rule.multipliers, self._state.multipliers
@@ -216,11 +216,11 @@ class OffPolicy:
             self._state = self._state._replace(multipliers=after)
 
     def finite(self) -> NDArray[np.bool_]:
-        """Mask of the runs that hold only finite numbers, [R]."""
+        """Return a mask [R] of the runs whose numbers are all finite."""
         return tree.finite(self._state)
 
     def _draws(self, epoch: int) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
-        """The draws of each gradient step of an epoch: slots [R, B] and action noise."""
+        """Draw the random numbers of an epoch's gradient steps: slots [R, B] and action noise."""
         steps, batch = self.config.gradient_steps, self.config.batch_size
         share, action_noise, start_noise = [], [], []
         for rng in streams(self.seeds, Purpose.UPDATE, epoch):
@@ -229,7 +229,7 @@ class OffPolicy:
             if self._multiplier_of == "start":
                 start_noise.append(normal(rng, (steps, STARTS, self.action_size)))
         index = self._slots(np.stack(share, axis=1))
-        # Action by action in memory, as `sampled` takes them.
+        # The action axis comes first in memory, as in `sampled`.
         noise = np.ascontiguousarray(np.array(action_noise).transpose(1, 2, 4, 0, 3))
         following, new = noise.transpose(1, 0, 3, 4, 2)
         starts = np.stack(start_noise, axis=1) if start_noise else [None] * steps
@@ -237,8 +237,8 @@ class OffPolicy:
         return list(zip(index, noises, strict=True))
 
     def _slots(self, share: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Slots of the replay, [steps, R, B], for numbers in [0, 1): the first `random_share` of a
-        batch among the transitions that are kept, the others among the rest, if there is any."""
+        """Map numbers [steps, R, B] in [0, 1) to slots of the replay buffer: the first
+        `random_share` of a batch to kept transitions, the others to the rest, if there is any."""
         held = np.maximum(self._replay.size, 1)[:, None]
         kept = np.minimum(held, self._kept)
         of_kept = np.arange(share.shape[-1]) < round(self.config.random_share * share.shape[-1])
@@ -253,7 +253,7 @@ class OffPolicy:
         return {name: part for name, part in parts.items() if part is not None}
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The whole training state as named arrays."""
+        """Return the whole training state as named arrays."""
         parts = {
             f"{name}.{key}": value
             for name, part in self._parts.items()
@@ -263,7 +263,7 @@ class OffPolicy:
         return {**tree.flatten(self._state), **parts, **normalizer}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state, bit for bit."""
+        """Load a state, bit for bit. Raises KeyError or ValueError if it does not fit."""
         self._state = tree.unflatten(self._state, state)
         if self._normalizer:
             self._normalizer.load_state_dict(state)
@@ -274,7 +274,7 @@ class OffPolicy:
 
 
 def _columns(metrics: dict[str, Float]) -> Float:
-    """The records of an update in the order of `OffPolicy.metrics`, [R, metrics]."""
+    """Return the records of an update in the order of `OffPolicy.metrics`, [R, metrics]."""
     *usual, last = METRICS
     single = [metrics[name][:, None] for name in usual]
     several = (metrics["multipliers"], metrics["risks"], metrics[last][:, None])

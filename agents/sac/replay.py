@@ -1,4 +1,4 @@
-"""The memory of runs: transitions, the states that were seen, and the scale of returns."""
+"""What runs remember: replay buffer, recent episodes, states seen, and the scale of returns."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from agents.lockstep.rollout import Rollout
 
 
 class Batch(NamedTuple):
-    """Transitions drawn from the replay; arrays, and tensors where PyTorch differentiates a
+    """Transitions from the replay buffer: arrays, or tensors where PyTorch differentiates a
     rule."""
 
     observation: Any
-    """[R, B, critic inputs]: with what the critics alone see, see `critic_inputs`"""
+    """[R, B, critic inputs]: observations and what only critics see, see `critic_inputs`"""
     action: Any
     """[R, B, action size], in [-1, 1]"""
     reward: Any
@@ -30,14 +30,14 @@ class Batch(NamedTuple):
     next_observation: Any
     """[R, B, critic inputs]"""
     terminal: Any
-    """[R, B]: 1.0 where no reward follows the transition, else 0.0"""
+    """[R, B]: 1.0 where the reward critics do not bootstrap, else 0.0"""
     cost_terminal: Any
-    """[R, B]: 1.0 where no cost follows it that counts, else 0.0"""
+    """[R, B]: 1.0 where the cost critics do not bootstrap, else 0.0"""
 
 
 class Replay:
-    """The first `kept` and the last transitions of every run, `capacity` in all; a transition in
-    one row, so that one gather fetches a whole batch."""
+    """Replay buffer: the first `kept` and the latest transitions of every run, `capacity` in all. A
+    transition is one row, so that one gather fetches a whole batch."""
 
     def __init__(
         self,
@@ -54,12 +54,12 @@ class Replay:
         self._kept = kept
         self._rows = np.zeros((runs, capacity, sum(widths)), dtype=np.float32)
         self.stored = np.zeros(runs, dtype=np.int64)
-        """Transitions stored so far, [R]; those beyond the capacity have replaced the oldest
-        that are not kept."""
+        """Transitions stored so far, [R]; beyond the capacity each replaces the oldest that is not
+        kept."""
 
     @property
     def size(self) -> NDArray[np.int64]:
-        """Transitions held, [R]."""
+        """Number of transitions held, [R]."""
         return np.minimum(self.stored, self._rows.shape[1])
 
     def add(self, rollout: Rollout, terminal: NDArray, cost_terminal: NDArray) -> None:
@@ -75,7 +75,7 @@ class Replay:
         self.stored += rollout.length
 
     def gather(self, index: NDArray[np.int64]) -> Batch:
-        """The transitions in slots index [R, B]; those kept come first."""
+        """Return the transitions in slots index [R, B]; kept transitions come first."""
         runs, capacity, width = self._rows.shape
         of_run = capacity * np.arange(runs)[:, None]
         rows = self._rows.reshape(-1, width).take(of_run + index, axis=0)
@@ -87,11 +87,11 @@ class Replay:
         return Batch(observation, action, reward, cost, following, *ends)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The state for a checkpoint: the rows that are held, not the empty ones."""
+        """Return the state for a checkpoint, without empty rows."""
         return {"rows": self._rows[:, : self.size.max(initial=0)], "stored": self.stored}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state. ValueError or KeyError for anything else."""
+        """Load a state. Raises KeyError or ValueError if it does not fit."""
         self.stored = tree.expect("stored", state, self.stored.shape, np.int64).copy()
         held = int(self.size.max(initial=0))
         shape = (len(self.stored), held, self._rows.shape[2])
@@ -99,11 +99,11 @@ class Replay:
 
 
 STARTS, EPISODES = 64, 10
-"""Last episodes of which start states and costs are kept."""
+"""Numbers of last episodes whose start states and whose costs are kept."""
 
 
 class Recent:
-    """Start states and undiscounted costs of the last episodes of R runs."""
+    """Start states and undiscounted costs of the last episodes of each of R runs."""
 
     def __init__(self, runs: int, observation_size: int, costs: int) -> None:
         self._starts = np.zeros((runs, STARTS, observation_size), dtype=np.float32)
@@ -111,7 +111,7 @@ class Recent:
         self._count = np.zeros(runs, dtype=np.int64)
 
     def add(self, rollout: Rollout) -> None:
-        """Keep an episode of each run [T, R, ...] whose length is not 0."""
+        """Keep the episodes [T, R, ...], one of each run, whose length is not 0."""
         costs = rollout.cost_returns
         for run in np.flatnonzero(rollout.length):
             self._starts[run, self._count[run] % STARTS] = rollout.observation[0, run]
@@ -120,44 +120,45 @@ class Recent:
 
     @property
     def starts(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Start states [R, STARTS, observation size], and weights [R, STARTS]: equal for those
-        that are held, adding up to 1."""
+        """Start states [R, STARTS, observation size], and weights [R, STARTS]: equal for the states
+        held, 0 for empty slots, with sum 1."""
         held = np.arange(STARTS) < self._count[:, None]
         weight = held / np.maximum(held.sum(axis=1, keepdims=True), 1)
         return self._starts, weight.astype(np.float32)
 
     def costs(self, of: Callable[[NDArray[np.float64]], float]) -> NDArray[np.float32]:
-        """`of` a run's recent costs [E], for each of them: [R, C]; 0 of a run without episodes."""
+        """Apply `of` to each cost of a run's recent episodes, [E]: [R, C]; 0 without episodes."""
         held = [costs[:count] for costs, count in zip(self._costs, self._count, strict=True)]
         found = [[of(own) if len(own) else 0.0 for own in costs.T] for costs in held]
         return np.array(found, dtype=np.float32)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The state for a checkpoint."""
+        """Return the state for a checkpoint."""
         return {"starts": self._starts, "costs": self._costs, "count": self._count}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state. ValueError or KeyError for anything else."""
+        """Load a state. Raises KeyError or ValueError if it does not fit."""
         for name, own in self.state_dict().items():
             own[...] = tree.expect(name, state, own.shape, own.dtype)
 
 
 FEATURES = 128
-"""Features of a state. More tell more places apart."""
+"""Number of features of a state. With more, more places can be told apart."""
 
 
 class Novelty:
     """How new states are to each of R runs.
 
-    Random Fourier features φ of norm 1 (Rahimi and Recht 2007) stand for a state: the product of
-    those of two states at distance d is about exp(-d² / (2 ℓ²)). With A = I + Σ φ φᵀ over all
-    states that a run has seen, the novelty of a state is √(φᵀ A⁻¹ φ), the bonus of LSVI-UCB (Jin et
-    al. 2020), whose square E3B takes within an episode (Henaff et al. 2022): about 1 where nothing
-    within ℓ was seen, and 1/√(1 + n) at the only place that was seen, n times.
+    A state is represented by random Fourier features φ of norm 1 (Rahimi and Recht 2007): the inner
+    product of two states' features is about exp(-d² / (2 ℓ²)), d being their distance. With
+    `A = I + Σ φ φᵀ` over all states that a run has seen, the novelty of a state is √(φᵀ A⁻¹ φ), the
+    bonus of LSVI-UCB (Jin et al. 2020), whose square E3B takes within an episode (Henaff et al.
+    2022): about 1 where nothing within ℓ was seen, and 1/√(1 + n) at the only place that was seen,
+    n times.
     """
 
     def __init__(self, length: float, seeds: Sequence[int], state_size: int) -> None:
-        """length: ℓ, in the units of the states; seeds: of the runs, [R]."""
+        """length: ℓ, in the units of the states; seeds: [R], those of the runs."""
         shape = (state_size, FEATURES // 2)
         drawn = [rng.standard_normal(shape) for rng in streams(seeds, Purpose.NOVELTY, 0)]
         self._frequencies = (np.stack(drawn) / length).astype(np.float32)
@@ -165,15 +166,15 @@ class Novelty:
         self._inverse = self._seen.astype(np.float32)
 
     def add(self, states: NDArray[np.float32], length: NDArray[np.int64]) -> None:
-        """Count the first length [R] of states [T, R, ...] as seen."""
+        """Count the first `length` [R] of the states [T, R, ...] as seen."""
         for run, steps in enumerate(length):
             features = self._features(states[:steps, run], run).astype(np.float64)
             self._seen[run] += features.T @ features
         self._inverse = _inverses(self._seen)
 
     def of(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Novelty of states [R, B, ...], in [0, 1]: [R, B]. What lies behind a state's numbers, as
-        the streak for the critics, does not count."""
+        """Return the novelty of states [R, B, ...], [R, B] in [0, 1]. What lies behind a state's
+        numbers, such as streaks for the critics, does not count."""
         features = self._features(states)
         square = ((features @ self._inverse) * features).sum(axis=-1)
         return np.sqrt(np.maximum(square, 0.0))  # rounding may leave it below 0
@@ -187,11 +188,11 @@ class Novelty:
         return scale * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The state for a checkpoint."""
+        """Return the state for a checkpoint."""
         return {"seen": self._seen}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state. ValueError or KeyError for anything else."""
+        """Load a state. Raises KeyError or ValueError if it does not fit."""
         self._seen = tree.expect("seen", state, self._seen.shape, np.float64).copy()
         self._inverse = _inverses(self._seen)
 
@@ -199,9 +200,9 @@ class Novelty:
 class ReturnScale:
     """Standard deviation of the discounted return in each of R runs, over all steps so far.
 
-    The return of a step is `G_t = r_t + γ G_{t-1}` from its episode's start on. Rewards over that
-    deviation, cut at ±10, have a scale of their own on every task: as `NormalizeReward` of
-    gymnasium and `VecNormalize` of Stable-Baselines3 do it.
+    The return of a step is `G_t = r_t + γ G_{t-1}`, from the start of its episode on. Rewards
+    divided by that deviation and clipped to ±10 have a similar scale on every task, as in
+    `NormalizeReward` of gymnasium and `VecNormalize` of Stable-Baselines3.
     """
 
     def __init__(self, runs: int, discount: float) -> None:
@@ -209,7 +210,7 @@ class ReturnScale:
         self._moments = RunningMoments(runs)
 
     def add(self, reward: NDArray[np.float64], length: NDArray[np.int64]) -> None:
-        """Count the first length [R] of the rewards [T, R] of an episode."""
+        """Count the first `length` [R] of the rewards [T, R] of an episode."""
         returns = np.zeros_like(reward)
         total = np.zeros(reward.shape[1])
         for t, now in enumerate(reward):
@@ -219,20 +220,20 @@ class ReturnScale:
                 self._moments.add(run, np.ascontiguousarray(returns[:steps, run]))
 
     def of(self, reward: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Rewards [R, B] in the scale of now; of a run that has counted steps."""
+        """Return rewards [R, B] in the current scale, for runs that have counted steps."""
         deviation = np.sqrt(self._moments.variance + 1e-8)
         return np.clip(reward / deviation[:, None], -10.0, 10.0).astype(np.float32)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The state for a checkpoint."""
+        """Return the state for a checkpoint."""
         return self._moments.state_dict()
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Load a state. ValueError or KeyError for anything else."""
+        """Load a state. Raises KeyError or ValueError if it does not fit."""
         self._moments.load_state_dict(state)
 
 
 def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float32]:
-    """By torch, which `configure` keeps to one thread: the last bits of numpy's depend on how many
-    threads there are."""
+    """Return the inverses, by PyTorch, which `configure` keeps to one thread: the last bits of
+    NumPy's depend on the number of threads."""
     return torch.linalg.inv(torch.from_numpy(matrices)).numpy().astype(np.float32)

@@ -1,7 +1,7 @@
-"""The update that the SAC family shares: SAC with two reward critics and two cost critics.
+"""The update of the SAC family: SAC with two reward critics, and two critics for each cost.
 
-An algorithm adds a `CostRule`. Losses are summed over runs and averaged over the batch, so
-the gradient of one run does not see the others. Source: Haarnoja et al. 2018 ("Soft actor-critic
+An algorithm adds a `CostRule`. Losses are summed over runs and averaged over the batch, so the
+gradient of one run does not depend on the others. Source: Haarnoja et al. 2018 ("Soft actor-critic
 algorithms and applications") with the cost terms of the algorithm's paper.
 """
 
@@ -44,67 +44,68 @@ TimeLimit = Literal["bootstrap", "terminal", "terminal_cost"]
 class SACConfig(InputConfig):
     """Hyper-parameters of the SAC family.
 
-    The defaults are the paper's (table HP_Circle2D) but for the time limit; presets set it for
+    The defaults are the paper's (table HP_Circle2D), except for `time_limit`, which presets set for
     Circle2D.
     """
 
-    cost_critics = 2  # of each cost; an algorithm with an ensemble makes it a hyper-parameter
+    cost_critics = 2  # for each cost; an algorithm with an ensemble makes it a hyper-parameter
 
     discount: Annotated[float, In(0, 1)] = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
     learning_rate: Annotated[float, In(above=0, high=1)] = 3e-4
     """Adam's step size for actor and critics. Paper: 3e-4."""
     temperature_lr: Annotated[float, In(above=0, high=1)] = 3e-4
-    """Adam's step size for the temperature, which falls from 1 as the policy gets surer. Paper:
-    3e-4, as for the networks."""
+    """Adam's step size for the temperature, which falls from 1 as the policy becomes less random.
+    Paper: 3e-4, as for the networks."""
     batch_size: Annotated[int, In(1)] = 256
-    """Transitions a gradient step, at most the replay's size. Paper: 256."""
+    """Transitions per gradient step, at most `replay_size`. Paper: 256."""
     gradient_steps: Annotated[int, In(1, 100_000)] = 5
-    """Gradient steps an epoch, which is one episode. Paper: 5."""
+    """Gradient steps per epoch, which is one episode. Paper: 5."""
     random_steps: Annotated[int, In(0)] = 5_000
-    """Environment steps at the start that take uniformly random actions. Paper: 5000 on Circle2D,
-    50000 on Safety-Gymnasium."""
+    """Environment steps with uniformly random actions at the start. Paper: 5000 on Circle2D, 50000
+    on Safety-Gymnasium."""
     random_exponent: Annotated[float, In(0, 4)] = 0.0
     """Exponent β of the random actions' power spectrum 1/f^β: 0 white, 1 pink, 2 brown noise, which
     keeps a direction for many steps. Each action is uniform by itself. Paper: white, as usual."""
     replay_size: Annotated[int, In(1)] = 50_000
-    """Transitions the replay of a run holds. Paper: 50000 on Circle2D, 500000 on
+    """Transitions that the replay buffer of a run holds. Paper: 50000 on Circle2D, 500000 on
     Safety-Gymnasium."""
     hidden: Annotated[tuple[int, ...], In(1, 65_536)] = (64, 64)
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
-    """Function between the layers. Not specified in the paper; tanh."""
+    """Activation function of the hidden layers. Not specified in the paper; tanh."""
     input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
-    """Factor on observations before the networks, or one for each number of an observation. Small
-    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
-    the paper; 1 leaves them as they are."""
+    """Factor by which observations are multiplied before the networks, or one factor for each
+    number of an observation. Small tanh networks are smooth: observations in [-1, 1] whose details
+    matter need a larger factor. Not in the paper; 1: unchanged."""
     normalize_observations: bool = False
-    """Whether networks see each number of an observation less its mean and over its standard
-    deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
-    paper; in OmniSafe by default."""
+    """Whether networks see standardised observations: each number minus its mean, divided by its
+    standard deviation, clipped to ±10; both are of all observations of the run in earlier epochs.
+    Not in the paper; in OmniSafe by default."""
     target_rate: Annotated[float, In(0, 1)] = 0.005
-    """Share τ by which the target critics follow. Not specified in the paper; 0.005 as in
-    Haarnoja et al."""
+    """Share τ by which target networks move towards the critics in a gradient step. Not specified
+    in the paper; 0.005 as in Haarnoja et al."""
     time_limit: TimeLimit = "bootstrap"
     """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
     terminal_cost (reward only). Not specified in the paper; the presets of Circle2D have
     terminal."""
     reward_scale: Literal["none", "running"] = "none"
-    """Scale of the learned reward: none, or running: over the standard deviation of the discounted
-    return so far, cut at ±10. Records keep the plain reward. Not in the paper; none."""
+    """Scale of the learned reward: none, or running, divided by the standard deviation of the
+    discounted return so far and clipped to ±10. Records keep the plain reward. Not in the paper;
+    none."""
     random_share: Annotated[float, In(0, 1)] = 0.0
-    """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
-    the replay keeps these to the end. Not in the paper; 0: none."""
+    """Share of each batch, in [0, 1], that is drawn from the random actions at the start; above 0
+    the replay buffer keeps these to the end. Not in the paper; 0: none."""
     novelty_bonus: Annotated[float, In(0, 1e6)] = 0.0
-    """Bonus, in units of reward, on the learned reward for reaching states that are new to the run:
+    """Bonus, in units of reward, that the learned reward gets for states that are new to the run:
     about `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. Not in the
     paper; 0: none."""
     novelty_length: Annotated[float, In(1e-6, 1e6)] = 2.0
-    """Distance over which states count as the same place for the bonus, in the units of the
+    """Distance within which states count as the same place for the bonus, in the units of the
     networks' inputs: observations times `input_scale`. Not in the paper."""
 
     def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
+        """Check the values. Raises UserError naming one that is not allowed."""
         super().__post_init__()
         if self.batch_size > self.replay_size:
             raise UserError(
@@ -121,20 +122,21 @@ class SACConfig(InputConfig):
 class ConstrainedSACConfig(SACConfig):
     """Hyper-parameters of the SAC family's algorithms that limit a cost.
 
-    The default is that of the paper's other tasks; presets set it for Circle2D.
+    The default of the limit is that of the paper's other tasks; presets set it for Circle2D.
     """
 
     cost_limit: Annotated[float, In(0, 1e9)] = 25.0
     """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
-    of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    of the rewards; it is no limit of an episode's cost. Paper: 5 on Circle2D, 25 on
+    Safety-Gymnasium."""
     limit_of: Literal["discounted", "episode"] = "discounted"
-    """Whether the limit is Q_c's (discounted), or that of an episode's cost (episode): Q_c is then
-    limited by `d (1 - γ^T) / ((1 - γ) T)`, T steps being the task's time limit, as in Ray's and
-    Yang's code. Not specified in the paper; discounted."""
+    """Which cost `cost_limit` limits: Q_c (discounted), or the cost of an episode (episode). With
+    episode, the limit of Q_c is `d (1 - γ^T) / ((1 - γ) T)`, T steps being the task's time limit,
+    as in Ray's and Yang's code. Not specified in the paper; discounted."""
     streak_weight: Annotated[float, In(0, 1e6)] = 0.0
-    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
-    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
-    paper; 0: none."""
+    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the cost of the k-th
+    consecutive cost step is multiplied by `1 + β (k - 1)`, and the critics see k. Records keep the
+    plain cost. Not in the paper; 0: none."""
 
     @property
     def limited_cost(self) -> str:
@@ -148,10 +150,11 @@ class MultiplierOfConfig(MultiplierConfig, ConstrainedSACConfig):
     """Hyper-parameters of the SAC family's algorithms that have a multiplier."""
 
     multiplier_of: Literal["replay", "start", "episode"] = "replay"
-    """What the multiplier follows: the risk at the states of the replay, most of which lie behind
-    the start of an episode (replay; as in the algorithms' papers), the risk at start states of the
-    last 64 episodes (start), or the undiscounted cost of the last 10 episodes, whose limit
-    `cost_limit` then is (episode; as in OmniSafe and FSRL). Not specified in the paper; replay."""
+    """What the multiplier follows: the risk at the states of the replay buffer, most of which lie
+    behind the start of an episode (replay; as in the algorithms' papers), the risk at start states
+    of the last 64 episodes (start), or the undiscounted cost of the last 10 episodes, which
+    `cost_limit` then limits (episode; as in OmniSafe and FSRL). Not specified in the paper;
+    replay."""
 
     @property
     def limited_cost(self) -> str:
@@ -161,11 +164,11 @@ class MultiplierOfConfig(MultiplierConfig, ConstrainedSACConfig):
 
 
 LOG_STD = (-20.0, 2.0)
-"""Where the logarithm of the standard deviation is clamped."""
+"""Bounds to which the log-std is clamped."""
 
 
 def act(outputs: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    """The actions of `sampled`, [..., A]; without noise the deterministic policy's, `tanh(μ)`."""
+    """Return the actions of `sampled`, [..., A]; without noise the deterministic `tanh(μ)`."""
     half = outputs.shape[-1] // 2
     mean, log_std = outputs[..., :half], outputs[..., half:]
     if noise is None:
@@ -174,7 +177,7 @@ def act(outputs: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDAr
 
 
 def mean_cost(config: Any, costs: NDArray[np.float64]) -> float:
-    """The mean of the costs of episodes [E]."""
+    """Return the mean of episode costs [E]."""
     return float(costs.mean())
 
 
@@ -186,48 +189,49 @@ class CostRule(NamedTuple):
     """
 
     risk: Callable[[Any, Tensor], Tensor]
-    """(config, cost_values) -> [R, B]: estimate of a cost that the actor penalises."""
+    """(config, cost_values) -> [R, B]: the estimate of a cost that the actor is penalised for."""
     critic_loss: Callable[[Any, Tensor, Tensor, Batch], Tensor]
-    """(config, cost_values, the target critics' at the next action, batch with that cost [R, B])
-    -> [R]."""
+    """(config, cost_values, those of the target networks at the next action, batch with that cost
+    [R, B]) -> [R]."""
     penalty: Callable[[Any, Tensor, Tensor], Tensor]
-    """(config, risks [R, C, B], multipliers [R, M]) -> [R, C, B]: added to the actor's loss, each
-    cost's."""
+    """(config, risks [R, C, B], multipliers [R, M]) -> [R, C, B]: the term of each cost in the
+    actor's loss."""
     multipliers: tuple[Multiplier, ...] = ()
     """Each follows `E[risk] - d` of its cost."""
     costs: int = 1
-    """How many costs are learned, by a pair of critics each, or by `cost_critics` of the config."""
+    """How many costs are learned, each by `cost_critics` critics of the config, by default two."""
     limits: tuple[str, ...] = ("cost_limit",)
-    """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
-    of its cost itself."""
+    """Names of the hyper-parameters that limit the costs, in the order of the costs; the `limit` of
+    a multiplier takes precedence for its cost."""
     augmented: Callable[[Any, Tensor, Tensor], Tensor] | None = None
     """(config, multipliers [R, M], what they follow [R, C]) -> [R, M]: the multipliers that the
-    penalty sees. Where it is given and `multiplier_of` is replay, multipliers follow the mean risk
-    at the batch's own actions, instead of that at new actions of the policy."""
+    penalty gets. With `augments_replay`, and `multiplier_of` replay, multipliers follow the mean
+    risk at the actions of the batch instead of at new actions of the policy."""
     augments_replay: bool = True
-    """Whether `augmented` is there for multipliers that follow the replay, too."""
+    """Whether `augmented` applies also to multipliers that follow the replay buffer."""
     of_episodes: Callable[[Any, NDArray[np.float64]], float] = mean_cost
-    """(config, a cost of recent episodes [E]) -> what a multiplier of `multiplier_of` episode
-    follows."""
+    """(config, a cost of recent episodes [E]) -> what a multiplier follows with `multiplier_of`
+    episode."""
 
 
 class Nets(NamedTuple):
-    """The shapes of the networks."""
+    """Shapes of the networks."""
 
     actor: MLP
     critic: MLP
 
 
 class SACState(NamedTuple):
-    """Everything an update reads and writes.
+    """Everything that an update reads and writes.
 
-    Numbers that are one a run (temperature, multiplier) fill a row of 32 equal ones: see `nets`.
+    A number of which each run has one (temperature, multiplier) is stored as a row of LANES equal
+    ones: see `nets`.
     """
 
     actor: Float
     """[R, actor size]"""
     critics: Float
-    """[R, 2 + 2·C, critic size]: two for the reward, two (`cost_critics`) for each cost"""
+    """[R, 2 + 2·C, critic size]: two for the reward, `cost_critics`, by default 2, for each cost"""
     targets: Float
     """[R, 2 + 2·C, critic size]"""
     log_temperature: Float
@@ -239,7 +243,7 @@ class SACState(NamedTuple):
 
 
 class UpdateNoise(NamedTuple):
-    """The random numbers of one update: standard normal, [R, B, action size]."""
+    """The random numbers of one update: standard normal noise, [R, B, action size]."""
 
     next_action: Float
     new_action: Float
@@ -248,7 +252,7 @@ class UpdateNoise(NamedTuple):
 
 
 def make_nets(config: SACConfig, observation_size: int, action_size: int, costs: int) -> Nets:
-    """Nets for flat observations and actions."""
+    """Return the networks for flat observations and actions."""
     seen = critic_inputs(config, observation_size, costs) + action_size
     return Nets(
         actor=MLP((observation_size, *config.hidden, 2 * action_size), config.activation),
@@ -257,7 +261,7 @@ def make_nets(config: SACConfig, observation_size: int, action_size: int, costs:
 
 
 def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int]) -> SACState:
-    """The state of runs before their first update; each run's comes from its seed alone."""
+    """Return the state before the first update; that of each run depends on its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
     actor = np.stack([nets.actor.initial(rng) for rng in streams])
     count = 2 + config.cost_critics * rule.costs
@@ -276,10 +280,10 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
 
 
 def check_rule(config: Any, rule: CostRule) -> None:
-    """Raise ValueError where a function of a rule returns another shape than `CostRule` says: sums
-    would run over other axes. Each is called once, with zeros. Raises UserError for a batch_size
-    that PyTorch must not see: it computes what is left of a vector otherwise, and a run would
-    depend, in its last bits, on the runs beside it."""
+    """Raise ValueError if a function of a rule returns another shape than `CostRule` says, since
+    sums would run over other axes. Each function is called once, with zeros. Raises UserError if
+    PyTorch is used and batch_size does not fill its vector lanes: it computes a remainder
+    differently, and the last bits of a run would depend on the runs beside it."""
     in_torch = not all(map(has_closed_form, (rule.risk, rule.critic_loss, rule.penalty)))
     if in_torch and config.batch_size % LANES:
         raise UserError(f"batch_size must be a multiple of {LANES}, got {config.batch_size}")
@@ -305,8 +309,8 @@ def check_rule(config: Any, rule: CostRule) -> None:
 
 
 class Sampled(NamedTuple):
-    """Actions that a policy draws, and what their gradient needs: action by action, each [A, R, B],
-    since numpy is slow along a short last axis."""
+    """Actions that a policy draws, and what their gradient needs, [A, R, B]: the action axis comes
+    first, since NumPy is slow along a short last axis."""
 
     action: Float
     log_prob: Float
@@ -314,11 +318,11 @@ class Sampled(NamedTuple):
     spread: Float
     """`σ·noise`"""
     inside: NDArray[np.bool_]
-    """Where log σ was not clamped."""
+    """Mask of the log-stds that were not clamped."""
 
     def slope(self, of_action: Float, of_log_prob: Float) -> Float:
-        """The gradient of a loss in the outputs [R, B, 2·A], from those in action [A, R, B] and
-        log-probability [R, 1].
+        """Return the gradient of a loss in the outputs [R, B, 2·A] from its gradients in action
+        [A, R, B] and log-probability [R, 1].
 
         `∂a/∂u = 1 - a²`, `∂ log π/∂u = 2 a`, `∂u/∂ log σ = σ·noise`, `∂ log π/∂ log σ = 2 a σ·noise
         - 1`.
@@ -332,11 +336,11 @@ LOG_2, LOG_2_PI = math.log(2.0), math.log(2.0 * math.pi)
 
 
 def sampled(outputs: Float, noise: Float) -> Sampled:
-    """Actions and their log-probabilities.
+    """Return actions and their log-probabilities.
 
-    outputs: mean and log-std of the policy net, [R, B, 2·A]; noise: standard normal, [R, B, A].
-    `a = tanh(u)`, `u = μ + σ·noise`, `log π = log N(u) - Σ log(1 - tanh²u)`. Source: Haarnoja et
-    al. 2018, appendix C.
+    outputs: mean and log-std from the policy network, [R, B, 2·A]; noise: standard normal,
+    [R, B, A]. `a = tanh(u)`, `u = μ + σ·noise`, `log π = log N(u) - Σ log(1 - tanh²u)`. Source:
+    Haarnoja et al. 2018, appendix C.
     """
     noise = noise.transpose(2, 0, 1)
     numbers = np.ascontiguousarray(outputs.transpose(2, 0, 1))
@@ -344,7 +348,7 @@ def sampled(outputs: Float, noise: Float) -> Sampled:
     log_std = np.minimum(np.maximum(raw, LOG_STD[0]), LOG_STD[1])  # `clip` takes twice as long
     spread = np.exp(log_std) * noise
     u = mean + spread
-    # log(1 - tanh²u) without the cancellation at large u
+    # log(1 - tanh²u), without cancellation at large u
     size = np.abs(u)
     log_slope = 2.0 * (LOG_2 - size - np.log1p(np.exp(-2.0 * size)))
     log_prob = -0.5 * (noise * noise + LOG_2_PI) - log_std - log_slope
@@ -352,7 +356,7 @@ def sampled(outputs: Float, noise: Float) -> Sampled:
 
 
 class Critics(NamedTuple):
-    """Values that all critics give to some rows, and what their gradients need."""
+    """Values of all critics at some rows, and what their gradients need."""
 
     seen: Float
     """[R, B, critic inputs + A]"""
@@ -364,8 +368,8 @@ class Critics(NamedTuple):
 def critics_at(
     nets: Nets, critics: Float, observation: Float, action: Float, taped: bool = False
 ) -> Critics:
-    """All critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions [A, R, B];
-    taped: for `gradient_of`."""
+    """Evaluate all critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions
+    [A, R, B]; taped: keep what `gradient_of` needs."""
     runs, count, size = critics.shape
     inputs = observation.shape[-1]
     seen = np.empty((*observation.shape[:2], inputs + len(action)), observation.dtype)
@@ -379,8 +383,8 @@ def critics_at(
 
 
 def gradient_of(nets: Nets, critics: Float, at: Critics, slope: Float, of: str) -> Float:
-    """The gradient of a loss in the critics' parameters, [R, 2 + 2·C, size] (of "p"), or in the
-    actions, [A, R, B] (of "x"); slope: in their values, [R, 2 + 2·C, B]."""
+    """Return the gradient of a loss in the critics' parameters, [R, 2 + 2·C, size] (of "p"), or in
+    the actions, [A, R, B] (of "x"); slope: its gradient in the critics' values, [R, 2 + 2·C, B]."""
     runs, count, size = critics.shape
     params, dy = critics.reshape(-1, size), slope.reshape(runs * count, -1, 1)
     own = kernel.of(params)
@@ -394,12 +398,13 @@ def gradient_of(nets: Nets, critics: Float, at: Critics, slope: Float, of: str) 
 
 
 def of_costs(values: Float, rule: CostRule) -> list[Float]:
-    """The outputs [R, 2, B] of each cost's critics among those of all critics."""
+    """Return the outputs [R, 2, B] of each cost's critics, from those of all critics."""
     return list(np.split(values[:, 2:], rule.costs, axis=1)) if rule.costs > 1 else [values[:, 2:]]
 
 
 def risks(config: Any, rule: CostRule, values: Float) -> tuple[Float, list[Pull]]:
-    """The risk of each cost, [R, C, B], from the outputs of all critics."""
+    """Return the risks [R, C, B] of all costs from the outputs of all critics, and their
+    `Pull`s."""
     found = [pulled(rule.risk, config, own) for own in of_costs(values, rule)]
     return np.concatenate([risk[:, None] for risk, _ in found], axis=1), [p for _, p in found]
 
@@ -413,33 +418,33 @@ def risk_at(
     noise: Float,
     weight: Float,
 ) -> Float:
-    """The mean risk of each cost where the policy acts anew at observations [R, B, critic inputs]:
-    [R, C]; noise: [R, B, action size]; weight: [R, B], adds up to 1."""
+    """Return the mean risk of each cost, [R, C], at observations [R, B, critic inputs] with new
+    actions of the policy; noise: [R, B, action size]; weight: [R, B], sums to 1."""
     new = drawn(nets, state, observation, noise)
     at = critics_at(nets, state.critics, observation, new.action)
     return (weight[:, None] * risks(config, rule, at.values)[0]).sum(axis=-1)
 
 
 def drawn(nets: Nets, state: SACState, observation: Float, noise: Float) -> Sampled:
-    """Actions of the policy at observations [R, B, at least its inputs]."""
+    """Draw actions of the policy at observations [R, B, at least its inputs]."""
     seen = np.ascontiguousarray(observation[..., : nets.actor.sizes[0]])
     return sampled(kernel.of(state.actor).values(nets.actor, state.actor, seen), noise)
 
 
 def shares(values: Float, sign: float) -> Float:
-    """How far each of two values [R, 2, B] is the lower (sign 1) or the higher (-1): 0, 1, or, of
-    equal ones, ½."""
+    """Return the slopes of the lower (sign 1) or the higher (-1) of two values in them, [R, 2, B]:
+    1 for that one, 0 for the other, ½ for equal ones."""
     return 0.5 + (0.5 * sign) * np.sign(values[:, ::-1] - values)
 
 
 def critic_slope(
     config: Any, rule: CostRule, found: Float, batch: Batch, target: Float, following: Float
 ) -> tuple[Float, dict[str, Float]]:
-    """The gradient in the critics' values [R, 2 + 2·C, B] of half the mean squared error of each
-    reward critic and the rule's loss of the cost critics, and both parts [R].
+    """Return the gradient of the critics' losses in their values, [R, 2 + 2·C, B], and the losses.
 
-    target: of the reward critics, [R, B]; following: the target critics' values at the next action,
-    [R, 2 + 2·C, B].
+    The losses, [R] each, are half the mean squared error of the reward critics, and the rule's loss
+    of the cost critics. target: of the reward critics, [R, B]; following: values of the target
+    networks at the next action, [R, 2 + 2·C, B].
     """
     error = found[:, :2] - target[:, None]
     slopes, cost_part, one = [error / error.shape[-1]], 0.0, np.ones(len(found), found.dtype)
@@ -457,8 +462,8 @@ def critic_slope(
 def actor_slope(
     config: Any, rule: CostRule, found: Float, multipliers: Float
 ) -> tuple[Float, Float, Float]:
-    """The gradient of `E[-min Q + penalty(risk)]` in the critics' values [R, 2 + 2·C, B], that mean
-    [R], and the mean of the risks [R, C]; multipliers: [R, M]."""
+    """Return the gradient of `E[-min Q + penalty(risk)]` in the critics' values [R, 2 + 2·C, B],
+    that mean [R], and the mean risks [R, C]; multipliers: [R, M]."""
     batch = found.shape[-1]
     risk, pulls = risks(config, rule, found)
     penalty, pull = pulled(rule.penalty, config, risk, multipliers)
@@ -470,7 +475,7 @@ def actor_slope(
 
 
 def mean(values: Float) -> Float:
-    """Over the batch, the last axis."""
+    """Return the mean over the batch, the last axis."""
     return np.add.reduce(values, axis=-1) / values.shape[-1]
 
 
@@ -483,8 +488,8 @@ def actor_gradient(
     noise: Float,
     multipliers: Float,
 ) -> tuple[Float, Float, Float, Float]:
-    """The gradient of `E[α log π - min Q + penalty(risk)]` in the actors [R, actor size], over
-    actions drawn anew with that noise [R, B, A]; means of the loss [R], risks [R, C], log π [R]."""
+    """Return the gradient of `E[α log π - min Q + penalty(risk)]` in the actors [R, actor size],
+    over new actions with that noise [R, B, A]; means of loss [R], risks [R, C], log π [R]."""
     own, alpha = kernel.of(state.actor), np.exp(state.log_temperature[:, :1])
     seen = np.ascontiguousarray(observation[..., : nets.actor.sizes[0]])
     outputs, tape = own.forward(nets.actor, state.actor, seen)
@@ -510,16 +515,15 @@ def update(
     followed: Float | None = None,
     longest: NDArray[np.float64] | None = None,
 ) -> tuple[SACState, dict[str, Float]]:
-    """One gradient step of critics, actor, temperature and multiplier, in this order.
+    """Take one gradient step of critics, actor, temperature and multipliers, in this order.
 
-    Losses are summed over runs and averaged over the batch: the critics' are those of
-    `critic_slope` against `r + γ (min Q' - α log π)`, the actor's is `E[α log π - min Q +
-    penalty(risk)]` over actions drawn anew. Networks are the kernel's. Temperature and multiplier
-    see the actions that the actor's step was computed from; followed: [R, C], what multipliers
-    follow instead of the batch's risk; longest: [R], what the last of them follows whatever the
-    others do. Changes the arrays of the state but the multipliers' in place. Returns the state with
-    them, and for the records, means over the batch: [R], multipliers [R, M], risks, those that are
-    followed [R, C].
+    Losses are summed over runs and averaged over the batch. The critics' losses are those of
+    `critic_slope` against `r + γ (min Q' - α log π)`, the actor's loss is
+    `E[α log π - min Q + penalty(risk)]` over new actions. Temperature and multipliers are updated
+    with the actions of the actor's step. followed: [R, C], what multipliers follow instead of the
+    batch's risk; longest: [R], what the last multiplier follows in any case. Changes the arrays of
+    the state in place, except those of multipliers. Returns the state with new multipliers, and
+    records, means over the batch: [R], multipliers [R, M], and the risks that are followed [R, C].
     """
     own, rate, count = kernel.of(state.actor), config.learning_rate, len(state.actor)
     temperature = np.exp(state.log_temperature)
@@ -557,7 +561,7 @@ def update(
         "risks": risk,
         "entropy": -log_prob,
     }
-    # Descend `-α E[log π + target entropy]` along log α, with the target entropy -A.
+    # Descend `-α E[log π + target entropy]` in log α, with the target entropy -A.
     of_temperature = temperature * (len(taken) - log_prob[:, None])
     moments = state.temperature_moments
     own.adam(state.log_temperature, of_temperature, moments, config.temperature_lr)
@@ -566,5 +570,5 @@ def update(
     np.add(state.targets, change, out=state.targets)
     if all(isinstance(part, MultiplierState) for part in state.multipliers):
         states = lagrange.follow(rule.multipliers, config, state.multipliers, risk)
-        state = state._replace(multipliers=states)  # a PID follows once an epoch
+        state = state._replace(multipliers=states)  # a PID follows once per epoch
     return state, metrics
