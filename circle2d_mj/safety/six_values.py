@@ -101,7 +101,7 @@ def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any
     if "_cost" in info and costs.dtype.kind in "biu":
         raise TypeError(
             f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
-            "the type of the first, which may have rounded others; let every one give a float"
+            "the type of the first, which may have rounded others; return every cost as a float"
         )
     return costs
 
