@@ -100,9 +100,9 @@ def emcc_by_part(
     """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}.
 
     mcc_values: [D] MCC of each rollout, in [0, 1]; start_steps: [D] environment steps taken
-    before each rollout; total_steps: environment steps of the whole training; alpha and ties: as
-    in `emcc`, but the default of alpha is 0.1 here and 1 there. A rollout belongs to the part in
-    which it starts; the last 1 % of training is in no part.
+    before each rollout; total_steps: environment steps of the whole training; alpha, ties: as in
+    `emcc`, but the default of alpha is 0.1 here and 1 there.
+    A rollout belongs to the part in which it starts; the last 1 % of training is in no part.
     Source: equation (emcc_beta_cvar) with beta = 0.33, 0.66, 0.99.
     ValueError: a part without rollouts, a start step outside [0, total_steps), arrays of
     different lengths, or a value as in `emcc`.

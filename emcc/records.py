@@ -169,9 +169,9 @@ class EpisodeRecords:
     ) -> dict[float, float]:
         """Return EMCC of each third, {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
 
-        total_steps: environment steps of the whole training, by default the recorded ones. window,
-        window_steps: replace the rollouts by windows, as in `windows`; a window belongs to the part
-        in which its first trajectory starts.
+        total_steps: environment steps of the whole training, by default the recorded ones.
+        window, window_steps: replace the rollouts by windows, as in `windows`; a window belongs to
+        the part in which its first trajectory starts.
         ValueError: as in `emcc.emcc_by_part`; no window; fewer total_steps than are recorded; no
         total_steps although trajectories are missing, so that one starts after the recorded steps.
         """

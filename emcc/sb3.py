@@ -30,8 +30,8 @@ class EMCCCallback(BaseCallback):
     rollout: "auto" is "update" for on-policy algorithms (a rollout is collected between two updates
     and cuts running episodes) and "episode" for all others; a number of environment steps is
     possible too, as in `CostRecorder`.
-    `learn` starts new records, except with reset_num_timesteps=False, which continues the records
-    and the running episodes; episodes that were reset in between are kept up to the reset.
+    Each `learn` starts new records, except with reset_num_timesteps=False, which continues the
+    records and running episodes; episodes that were reset in between are kept up to the reset.
     alpha: share of the rollouts with the highest MCC. window: number of last rollouts whose
     measures are logged. limit: cost limit of an episode, for the measures that need one; None omits
     these. Measures of whole episodes are logged once an episode has ended. threshold: a step whose

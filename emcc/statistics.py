@@ -61,11 +61,11 @@ class Share:
 def mean_interval(values: ArrayLike, level: float = 0.95, bounds: Bounds = UNBOUNDED) -> Interval:
     """Return the mean over runs [runs] with Student's t interval, or the range below five runs.
 
-    bounds: the lowest and the highest possible value, such as (0, 1) for EMCC; the interval is
-    clipped to them. By simulation, intervals of 5, 10 and 20 runs cover the true mean in 95 % of
-    cases for normal values, in 82, 84 and 87 % for log-normal values, and in 70, 89 and 92 % for
-    values with two modes (around 0, or around 10 in one of five runs, each with a standard
-    deviation of 1). If runs end in different modes, report shares.
+    bounds: lowest and highest possible value, (0, 1) for EMCC; the interval is clipped to them.
+    By simulation, intervals of 5, 10 and 20 runs cover the true mean in 95 % of cases for normal
+    values, in 82, 84 and 87 % for log-normal values, and in 70, 89 and 92 % for values with two
+    modes (around 0, or around 10 in one of five runs, each with a standard deviation of 1). If runs
+    end in different modes, report shares.
     """
     values, level = as_vector(values, "values").astype(np.float64), _as_level(level)
     mean, n = float(values.mean()), len(values)
@@ -156,9 +156,9 @@ def iqm(values: ArrayLike) -> float:
 def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> float:
     """Return the probability that a run of `second` is below one of `first`; ties count half.
 
-    first, second: [runs], or [runs, tasks] with the same tasks, averaged over tasks. The value is
-    the Mann-Whitney statistic divided by the number of pairs. For measures where higher is better,
-    exchange the two. Source: Agarwal et al. 2021.
+    first, second: [runs], or [runs, tasks] with the same tasks, averaged over tasks.
+    The value is the Mann-Whitney statistic divided by the number of pairs. If higher values are
+    better, exchange the two. Source: Agarwal et al. 2021.
     """
     a, b = as_two_sets(first, second)
     return float(((b[None] < a[:, None]) + 0.5 * (b[None] == a[:, None])).mean())
@@ -186,8 +186,9 @@ def bootstrap(
 
     statistic: sets [runs, tasks] -> float, such as `iqm` or `probability_of_improvement`. sets:
     [runs] or [runs, tasks] each; runs are drawn with replacement, independently in each set and
-    each task (a stratum). The interval has the percentiles of the resampled statistic; low and high
-    are None if a set has fewer than five runs.
+    each task (a stratum).
+    The interval has the percentiles of the resampled statistic; low and high are None if a set has
+    fewer than five runs.
     """
     _check_generator(rng)
     runs, level = [as_runs(values, "values") for values in sets], _as_level(level)

@@ -35,10 +35,10 @@ def StreakCost(
     threshold: a step whose cost exceeds it is a cost step.
     In a vector environment, info["cost"] and info["plain_cost"], also in info["final_info"], are
     [num_envs] arrays that describe the step just taken, like the rewards, in every autoreset mode.
-    TypeError: not a Gymnasium environment, or no flat Box of floats to append to. ValueError:
-    weight below 0, scale not above 0, a bad threshold, a vector environment without an autoreset
-    mode, a negative or non-finite cost. KeyError: a step without a cost. RuntimeError: a step after
-    an episode's end without a reset.
+    TypeError: not a Gymnasium environment, or no flat Box of floats to append to.
+    ValueError: weight below 0, scale not above 0, a bad threshold, a vector environment without an
+    autoreset mode, a negative or non-finite cost. KeyError: a step without a cost. RuntimeError: a
+    step after an episode's end without a reset.
     """
     weight, threshold = as_number(weight, "weight", 0), as_number(threshold, "threshold", 0)
     kind = of_kind(env, StreakCostEnv, StreakCostVectorEnv)
