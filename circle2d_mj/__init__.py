@@ -1,13 +1,13 @@
-"""A suite for safe reinforcement learning. This package has its tasks: Safety-Gymnasium's on
-current MuJoCo, and Circle2D. `agents` has algorithms and trained agents, `emcc` the metric.
+"""Tasks for safe reinforcement learning: Safety-Gymnasium's on current MuJoCo, and Circle2D. The
+packages `agents` (algorithms and trained agents) and `emcc` (the metric) belong to the same suite.
 
     import circle2d_mj
     import gymnasium as gym
 
     env = gym.make("Circle2D-1-v0")
 
-Importing the package registers its tasks with gymnasium. Where only an id can be given, the prefix
-does it: `gym.make("circle2d_mj:Circle2D-1-v0")`. `circle2d_mj.render` draws pictures.
+Importing the package registers its tasks with Gymnasium. If a program takes only an id, a prefix
+imports the package: `gym.make("circle2d_mj:Circle2D-1-v0")`. `circle2d_mj.render` draws pictures.
 """
 
 from __future__ import annotations

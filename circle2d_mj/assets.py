@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-# A wheel holds them inside the package, a checkout beside it.
+# A wheel holds the assets inside the package, a checkout beside the package.
 _FOLDERS = (Path(__file__).parent / "assets", Path(__file__).parents[1] / "assets")
 
 
 def asset(name: str) -> Path:
     """Return the path of a shipped file, as in `asset("xml/circle2d.xml")`.
 
-    Raises FileNotFoundError, which lists the shipped files, for any other name.
+    Raises FileNotFoundError for any other name, listing the shipped files.
     """
     for folder in _FOLDERS:
         if (folder / name).is_file():

@@ -1,4 +1,4 @@
-"""The ids under which gymnasium finds the tasks."""
+"""Ids of the tasks, and their registration with Gymnasium."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ PHYSICS = {level: f"Circle2DMuJoCo-{level}-v0" for level in LEVELS}
 CIRCLE2D = (*KINEMATIC.values(), *PHYSICS.values())
 """Ids of the Circle2D tasks, by level and all together."""
 SAFETY = tuple(safety.IDS.values())
-"""Safety-Gymnasium's tasks, under ids that are always ours."""
+"""Ids of Safety-Gymnasium's tasks that no other package can have taken."""
 
 
 def register() -> None:
-    """Register `CIRCLE2D` and `SAFETY` with gymnasium; calling it again changes nothing.
+    """Register `CIRCLE2D` and `SAFETY` with Gymnasium; calling it again changes nothing.
 
-    The Safety tasks get Safety-Gymnasium's own ids too, as in `SafetyPointGoal1-v0`, where no
-    other package has registered them.
+    The Safety tasks also get Safety-Gymnasium's own ids, such as `SafetyPointGoal1-v0`, unless
+    another package has registered them.
     """
     for level in LEVELS:
         kinematic, physics = "circle2d.envs:Circle2D", "circle2d.mujoco_envs:Circle2DMuJoCo"
@@ -52,10 +52,11 @@ def add(
     reward_threshold: float | None = None,
     **parameters: Any,
 ) -> None:
-    """Register a task with gymnasium, unless its name is taken. env: "module:class" of ours."""
+    """Register a task with Gymnasium, unless its name is taken. env: "module:class" in this
+    package, without the class's suffix VectorEnv."""
     if name in gym.registry:
         return
-    # By name, so that MuJoCo is imported only when an environment needs it.
+    # Entry points are names, so that MuJoCo is imported only when an environment needs it.
     gym.register(
         id=name,
         entry_point=f"circle2d_mj.{env.partition(':')[0]}:for_gym_make",

@@ -1,1 +1,1 @@
-"""The gymnasium side of any task: environments and random streams."""
+"""The part that all tasks share: Gymnasium environments and random streams."""

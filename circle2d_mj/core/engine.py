@@ -1,8 +1,8 @@
 """MuJoCo, imported for simulation.
 
-MuJoCo chooses its OpenGL backend when it is imported, and fails there where MUJOCO_GL names one
-that is missing or unknown. A simulation draws nothing: then it is imported without OpenGL. Whoever
-draws gets the error that says what to install: see `circle2d_mj.render.gl`.
+MuJoCo chooses its OpenGL backend on import, and the import fails if MUJOCO_GL names a missing or
+unknown backend. A simulation draws nothing, so MuJoCo is then imported without OpenGL. Drawing
+raises an error that says what to install: see `circle2d_mj.render.gl`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ VARIABLE = "MUJOCO_GL"
 
 try:
     import mujoco
-except Exception:  # whatever a missing or broken backend raises
+except Exception:  # a missing or broken backend may raise anything
     _named = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = "disable"
     try:

@@ -1,4 +1,4 @@
-"""The gymnasium side of every task: seeds, resets, time limits, autoreset, one copy or many."""
+"""The Gymnasium side of every task: seeds, resets, time limits, autoreset, one copy or many."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ Step = tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]
 
 
 class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
-    """Copies of a task behind gymnasium's interface for vector environments.
+    """Copies of a task behind Gymnasium's interface for vector environments.
 
-    Sub-environment i seeded with `seed + i` (or with the i-th of a sequence of seeds) runs bit for
-    bit as a single environment with that seed, whatever the number of its neighbours. All three
-    autoreset modes of gymnasium are kept, with its contract for `final_obs`, `final_info` and
-    `options={"reset_mask": ...}`. In the same-step mode `info["cost"]` and `info["x_velocity"]`
-    are, like the reward, of the step just taken; numbers of the info that describe the state, such
-    as `info["x_position"]`, belong in every mode to the state that is observed, `final_info` to
-    `final_obs`. Actions of environments that only reset in a step must be finite too. Without
+    Sub-environment i, seeded with `seed + i` (or with the i-th of a sequence of seeds), equals bit
+    for bit a single environment with that seed, for any number of sub-environments. All three
+    autoreset modes of Gymnasium are supported, as are `final_obs`, `final_info` and
+    `options={"reset_mask": ...}`. In the same-step mode, `info["cost"]` and `info["x_velocity"]`
+    describe the step just taken, like the reward. Numbers of the info that describe the state, such
+    as `info["x_position"]`, belong in every mode to the observed state, and those in `final_info`
+    to `final_obs`. Actions must be finite also for environments that only reset in a step. Without
     autoreset, an environment whose episode is over may stay where it is until its reset.
     `max_episode_steps=None` never truncates. Errors: TypeError or ValueError naming the argument;
-    gymnasium's ResetNeeded for a step before the first reset.
+    Gymnasium's ResetNeeded for a step before the first reset.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        # Steps may go on without the reset of what has ended, which `agents` then leaves out.
+        # Ended episodes may wait for their reset while others step; `agents` leaves them out.
         self.metadata["ended_may_wait"] = self.autoreset_mode is AutoresetMode.DISABLED
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
-            valid = f"None or one of {modes} ('human' where there is a screen)"
+            valid = f"None or one of {modes} ('human' needs a screen)"
             raise ValueError(f"render_mode must be {valid}, got {render_mode!r}")
         if render_mode == "human" and self.num_envs > 1:
             raise ValueError("render_mode 'human' shows one environment; use 'rgb_array' for many")
@@ -79,7 +79,7 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
 
     @property
     def view(self) -> View | None:
-        """Positions to record and pictures to draw them on; None without."""
+        """Positions to record and pictures to draw them on; None if the task has none."""
         return self.simulation.view
 
     def reset(
@@ -88,7 +88,7 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes, in all environments or where `options["reset_mask"]` says."""
+        """Start new episodes, in all environments or in those of `options["reset_mask"]`."""
         index = self._to_reset(options)
         self._seed(seed, index)
         self._start(index)
@@ -109,7 +109,7 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
     def advance(self, actions: NDArray[np.float64]) -> Step:
         """Take a step with checked actions: finite, [num_envs, action size].
 
-        The info has none of gymnasium's masks `_cost`, ...: every environment has a value.
+        The info lacks Gymnasium's masks `_cost`, ..., since every environment has a value.
         """
         if self._streams is None:
             raise ResetNeeded("reset() must be called before the first step()")
@@ -127,17 +127,17 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         return self.simulation.observe(), reward, terminated, truncated, info
 
     def state_dict(self) -> State:
-        """Return all that later steps and resets depend on: named arrays [num_envs, ...].
+        """Return everything that later steps and resets depend on: named arrays [num_envs, ...].
 
-        `load_state_dict`, on this or an equal environment, continues episodes bit for bit. Raises
-        ResetNeeded before the first reset.
+        After `load_state_dict`, this or an equal environment continues the episodes bit for bit.
+        Raises ResetNeeded before the first reset.
         """
         if self._streams is None:
             raise ResetNeeded("reset() must be called before there is a state")
         return self._state_with(self._streams)
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state. Raises ValueError for other names or shapes."""
+        """Load a state from `state_dict`. Raises ValueError for wrong names or shapes."""
         streams = self._streams or Streams(np.zeros(self.num_envs, dtype=np.uint64))
         own = self._state_with(streams)
         got = {name: np.shape(array) for name, array in state.items()}
@@ -168,11 +168,11 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         return tuple(self.picture(i) for i in range(self.num_envs))
 
     def picture(self, index: int) -> Any:
-        """Draw environment `index` in the render mode; None without one, and in a window."""
+        """Draw environment `index` with render mode "rgb_array"; None with any other."""
         return self.simulation.frame(index) if self.render_mode == "rgb_array" else None
 
     def copy_of(self, index: int) -> Copy:
-        """Return sub-environment `index`, to read from."""
+        """Return sub-environment `index` as a read-only `Copy`."""
         return Copy(self, index)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
@@ -180,24 +180,24 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         return tuple(getattr(self.copy_of(i), name) for i in range(self.num_envs))
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of every sub-environment; what is no method is returned itself."""
+        """Call a method of every sub-environment; other attributes are returned as they are."""
         found = self.get_attr(name)
         return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Refuse: raises AttributeError."""
+        """Raise AttributeError: attributes of sub-environments cannot be set."""
         raise AttributeError(
-            f"{name} cannot be set: the copies are stepped together, and alike; pass what shall "
-            f"differ from the task's own where they are made: make_vec(id, ..., {name}=...)"
+            f"{name} cannot be set: all copies are stepped together with the same parameters; pass "
+            f"them when the environment is made: make_vec(id, ..., {name}=...)"
         )
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderer and the viewer."""
-        if hasattr(self, "simulation"):  # gymnasium before 1.3 closes what was refused
+        if hasattr(self, "simulation"):  # Gymnasium before 1.3 also closes after a failed __init__
             self.simulation.close()
 
     def _reset_finished(self, *results: NDArray) -> None:
-        """Reset finished episodes, in a step without end, reward and cost."""
+        """Reset finished environments; their step has no end of episode, reward or cost."""
         index = np.flatnonzero(self._finished)
         if len(index):
             self._start(index)
@@ -230,13 +230,13 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         self._finished[index] = False
 
     def _start_streams(self) -> Streams | None:
-        """The streams of which episodes start."""
+        """Return the random streams that new episodes start from."""
         return self._streams
 
     def _seed(self, seed: int | Sequence[int | None] | None, index: NDArray[np.intp]) -> None:
         keys = [None] * self.num_envs if seed is None else keys_of_seeds(seed, self.num_envs)
         if seed is not None:
-            # np_random follows the first seed, as gymnasium expects; starts have their own streams.
+            # Seed np_random with the first seed, as Gymnasium expects; starts use `_streams`.
             super().reset(seed=keys[0])
         if self._streams is None:
             fresh = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
@@ -252,7 +252,7 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
             raise TypeError(f"options['reset_mask'] must be a bool array, got {mask!r}")
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
-                f"options['reset_mask'] must have shape ({self.num_envs},) and one True at least, "
+                f"options['reset_mask'] must have shape ({self.num_envs},) and at least one True, "
                 f"got {mask!r}"
             )
         if self._streams is None and not mask.all():
@@ -266,9 +266,9 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
 
 
 class Copy:
-    """One copy in a vector environment, to read from: `call`, `get_attr` and callers ask it.
+    """A read-only copy of the task in a vector environment, for `call` and `get_attr`.
 
-    It has what a single environment has but `reset`, `step` and `close`.
+    It has the attributes of a single environment except `reset`, `step` and `close`.
     """
 
     def __init__(self, envs: TaskVectorEnv, index: int) -> None:
@@ -277,12 +277,12 @@ class Copy:
         self.action_space = envs.single_action_space
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the copy; None without a render mode."""
+        """Draw the copy; None unless the render mode is "rgb_array"."""
         return self._envs.picture(self._index)
 
     @property
     def unwrapped(self) -> Copy:
-        """Itself."""
+        """The copy itself."""
         return self
 
     def get_wrapper_attr(self, name: str) -> Any:
@@ -298,7 +298,7 @@ class Copy:
 class TaskEnv(gym.Env[Any, ArrayLike]):
     """One environment of a task.
 
-    `info["cost"]` is a float (numpy's float64), on every step and from `reset`.
+    `info["cost"]` is a float (np.float64), from every step and from `reset`.
     """
 
     def __init__(self, envs: TaskVectorEnv) -> None:
@@ -312,7 +312,7 @@ class TaskEnv(gym.Env[Any, ArrayLike]):
 
     @property
     def view(self) -> View | None:
-        """Positions to record and pictures to draw them on; None without."""
+        """Positions to record and pictures to draw them on; None if the task has none."""
         return self._envs.view
 
     def reset(
@@ -345,17 +345,17 @@ class TaskEnv(gym.Env[Any, ArrayLike]):
 
     def close(self) -> None:
         """Close the renderer and the viewer."""
-        self._envs.close_extras()  # `close` would do so only once
+        self._envs.close_extras()  # `close` would work only once
 
     def state_dict(self) -> State:
-        """Return all that later steps and resets depend on: see `TaskVectorEnv.state_dict`.
+        """Return everything that later steps and resets depend on: see `TaskVectorEnv.state_dict`.
 
-        The time limit of an environment from `gymnasium.make` is a wrapper's, and not part of it.
+        With `gymnasium.make`, the time limit is a wrapper's, whose step count is not included.
         """
         return self._envs.state_dict()
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         self._envs.load_state_dict(state)
 
     def _show(self) -> None:
@@ -363,21 +363,22 @@ class TaskEnv(gym.Env[Any, ArrayLike]):
             self._envs.render()
 
     def _floats(self, info: dict[str, Any]) -> dict[str, np.float64]:
-        # numpy's float64 is a Python float with a dtype, which TorchRL's info reader needs.
+        # np.float64 is a float that has a dtype, which TorchRL's info reader needs.
         return {key: info[key][0] for key in self._envs.simulation.info_keys}
 
 
 def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:
-    """Return the function by which `gymnasium.make` makes an environment, without a time limit.
+    """Return an entry point for `gymnasium.make` that makes an environment without a time limit.
 
-    gymnasium adds its own `TimeLimit`. A second limit inside would end episodes early where a user
+    Gymnasium adds its own `TimeLimit`. A second limit inside would end episodes early if a user
     raises the first, as in `make(..., max_episode_steps=100)`.
     """
 
     def make(**kwargs: Any) -> TaskEnv:
         return env(max_episode_steps=None, **kwargs)  # pyright: ignore[reportCallIssue]
 
-    # "human" always: gymnasium would show frames by pygame, where we say that there is no screen.
+    # Always with "human", which Gymnasium would otherwise emulate with pygame; without a screen,
+    # TaskVectorEnv raises an error instead.
     modes = list(dict.fromkeys([*env.metadata["render_modes"], "human"]))
     make.metadata = env.metadata | {"render_modes": modes}  # pyright: ignore[reportFunctionMemberAccess]
     return make

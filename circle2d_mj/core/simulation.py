@@ -1,4 +1,4 @@
-"""A task as a simulation of many copies: all that the gymnasium side knows of it."""
+"""The interface of a simulation: all that the Gymnasium environments know of a task."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ State = dict[str, NDArray]
 
 
 class Outcome(NamedTuple):
-    """Result of a step: fresh arrays, an entry for each environment."""
+    """Result of a step: new arrays with an entry for each environment."""
 
     reward: NDArray[np.float64]
     """[num_envs]"""
     terminated: NDArray[np.bool_]
     """[num_envs]"""
     info: dict[str, NDArray[np.float64]]
-    """[num_envs] each: "cost" and other numbers of the step"""
+    """[num_envs] each: "cost" and other numbers that describe the step"""
 
 
 class Simulation(Protocol):
@@ -34,41 +34,42 @@ class Simulation(Protocol):
     action_space: Box
     """Action space of one environment."""
     info_keys: tuple[str, ...]
-    """Names of the numbers in infos: of `Outcome.info`, then of `state_info`."""
+    """Names of the numbers in infos: those of `Outcome.info`, then those of `state_info`."""
     recorded_info: dict[str, str]
-    """Those of `info_keys` that training records at each step, with their units."""
+    """Names in `info_keys` that training records at each step, with their units."""
     moving: NDArray[np.intp] | None
-    """The environments that must move in a step; None: all. Others may, to no effect."""
+    """Indices of the environments that must move in a step; None for all. Moving others has no
+    effect."""
 
     @property
     def view(self) -> View | None:
-        """Pictures of where agents are; None where there is nothing to show."""
+        """Pictures of where agents are; None if there is nothing to show."""
         ...
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Begin an episode in the environments `index`, with numbers from their streams alone."""
+        """Begin an episode in the environments `index`, drawing only from their streams."""
         ...
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
-        """Move all environments by finite actions, [num_envs, action size]."""
+        """Take a step in all environments with finite actions, [num_envs, action size]."""
         ...
 
     def observe(self) -> Any:
-        """Return the observations: a fresh array [num_envs, observation size], or a dict of arrays
+        """Return the observations: a new array [num_envs, observation size], or a dict of arrays
         [num_envs, ...]."""
         ...
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Return the numbers of the info that describe the state, as the observation does, and not
-        the step that led there: fresh arrays [num_envs]."""
+        """Return the numbers of the info that describe the state, like the observation, not the
+        step that led there: new arrays [num_envs]."""
         ...
 
     def state_dict(self) -> State:
-        """Return all that steps depend on: named arrays (copies), num_envs their first axis."""
+        """Return everything that steps depend on: named arrays [num_envs, ...] (copies)."""
         ...
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         ...
 
     def frame(self, index: int) -> NDArray[np.uint8]:
@@ -76,7 +77,7 @@ class Simulation(Protocol):
         ...
 
     def show(self, index: int) -> None:
-        """Show one environment in a window, which the first call opens."""
+        """Show one environment in a window; the first call opens the window."""
         ...
 
     def close(self) -> None:
@@ -85,23 +86,23 @@ class Simulation(Protocol):
 
 
 def of_one(observations: Any, index: int) -> Any:
-    """Return the observation of one environment, of what `Simulation.observe` returned."""
+    """Return one environment's part of the observations from `Simulation.observe`."""
     if isinstance(observations, dict):
         return {name: part[index] for name, part in observations.items()}
     return observations[index]
 
 
 LARGEST_ACTION = 1e150
-"""Of each number of an action, in size: its square is a finite number."""
+"""Largest absolute value of an action's numbers: their squares are finite."""
 
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
-    """Return the action as float64. Raises ValueError for another shape, for what is no array of
-    real numbers (a masked array among them), and for numbers that are not finite or larger than
+    """Return the action as float64. Raises ValueError for a wrong shape, for anything but an array
+    of real numbers (masked arrays are refused), and for numbers that are not finite or larger than
     `LARGEST_ACTION`."""
     try:
         given = np.asarray(action)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged; a tensor with a gradient
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged, or a tensor with a gradient
         raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from error
     if given.dtype.kind not in "fiub":
         raise ValueError(f"action must be numbers (real), got {given.dtype} in {action!r}")
@@ -112,20 +113,20 @@ def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[
         raise ValueError(f"action must have shape {shape}, got shape {values.shape}")
     if not (np.abs(values) <= LARGEST_ACTION).all():
         raise ValueError(
-            f"action must be finite, and at most {LARGEST_ACTION:g} in size, got {action!r}"
+            f"action must be finite and at most {LARGEST_ACTION:g} in magnitude, got {action!r}"
         )
     return values
 
 
 def _is_masked(action: Any) -> bool:
-    """Whether numpy would drop a mask of the action or of an array in it."""
+    """Return whether the action, or an array in it, has a mask, which NumPy would drop."""
     if isinstance(action, (list, tuple)):
         return any(_is_masked(part) for part in action if not isinstance(part, float))
     return isinstance(action, np.ma.MaskedArray)
 
 
 def positive_integer(name: str, value: Any) -> int:
-    """Return the value as an int. Raises TypeError or ValueError, naming it, if it is not one."""
+    """Return the value as an int >= 1. Raises TypeError or ValueError, naming it, otherwise."""
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         raise TypeError(f"{name} must be an integer, got {value!r}")
     if value < 1:

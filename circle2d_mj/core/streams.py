@@ -1,4 +1,4 @@
-"""Random numbers of many environments at once, each environment with a stream of its own."""
+"""Random numbers for many environments at once; each environment has its own stream."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 def philox(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Return four random 32-bit words for each key and counter, by Philox4x32-10.
 
-    keys, counters: [n] -> [n, 4], values below 2**32. numpy's generators hold one stream each:
-    drawing from 4096 of them takes longer than stepping the environments.
+    keys, counters: [n] -> [n, 4], values below 2**32. A NumPy generator holds a single stream, and
+    drawing from 4096 generators takes longer than stepping the environments.
     Source: Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3".
     """
     k0, k1 = keys & _LOW, keys >> _SHIFT
@@ -34,7 +34,7 @@ def philox(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np
 class Streams:
     """Independent streams of uniform numbers, one for each environment.
 
-    keys: [n] uint64, one for each stream. The whole state is `keys` and `counters`.
+    keys: [n] uint64, one for each stream. `keys` and `counters` are the whole state.
     """
 
     def __init__(self, keys: NDArray[np.uint64]) -> None:
@@ -42,13 +42,13 @@ class Streams:
         self.counters = np.zeros_like(keys)
 
     def reseed(self, index: NDArray[np.intp], keys: NDArray[np.uint64]) -> None:
-        """Start the streams `index` anew, from `keys`."""
+        """Restart the streams `index` with new `keys`."""
         self.keys[index], self.counters[index] = keys, 0
 
     def uniform(self, index: NDArray[np.intp], draws: int = 1) -> NDArray[np.float64]:
         """Draw the next 4 * draws numbers in (0, 1) of each stream in `index`.
 
-        [len(index), 4 * draws]: equal to the results of `draws` calls, side by side.
+        Returns [len(index), 4 * draws], equal to the results of `draws` calls side by side.
         """
         ahead = np.arange(draws, dtype=np.uint64)
         counters = (self.counters[index][:, None] + ahead).ravel()
@@ -58,10 +58,10 @@ class Streams:
 
 
 def keys_of_seeds(seed: int | Sequence[int | None], num_envs: int) -> list[int | None]:
-    """Return a key per environment: `seed, seed + 1, ...`, or those given (None: keep the stream).
+    """Return a key per environment: `seed, seed + 1, ...`, or as given (None: keep the stream).
 
-    Raises TypeError or ValueError for seeds that are not integers in [0, 2**64 - num_envs], or
-    where their number is not `num_envs`.
+    Raises TypeError or ValueError for seeds that are not integers, for keys outside [0, 2**64), and
+    for a sequence whose length is not `num_envs`.
     """
     if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
         keys: list[int | None] = [int(seed) + i for i in range(num_envs)]
@@ -78,4 +78,4 @@ def keys_of_seeds(seed: int | Sequence[int | None], num_envs: int) -> list[int |
             raise TypeError(f"seed must be an integer or a sequence of integers, got {seed!r}")
         if not 0 <= key < 2**64:
             raise ValueError(f"seed must be in [0, 2**64), got {key!r}")
-    return [key if key is None else int(key) for key in keys]  # numpy's integers are not Python's
+    return [key if key is None else int(key) for key in keys]  # int() for NumPy's integers

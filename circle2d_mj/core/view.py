@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Picture = NDArray[np.uint8]
-"""[height, width, 3], its first row on top."""
+"""[height, width, 3], the top row first."""
 Extent = tuple[float, float, float, float]
-"""left, right, bottom and top of a picture, in the unit of the positions it shows"""
-# A ball pressed against the arena's edge leaves the picture by up to 1 % of its width.
+"""Left, right, bottom and top of a picture, in the unit of the positions that it shows."""
+# A ball pressed against the arena's edge is up to 1 % of the picture's width outside of it.
 _BEYOND = 0.02
 
 
 class View(Protocol):
     """A position (two numbers) for each state, and a picture to draw positions on.
 
-    An environment offers its view as the attribute `view`; None, or no such attribute, means that
-    there is nothing to show. Training records the positions, reports draw them; neither knows the
-    task. A picture of positions is made from the bottom up: `background`, then heat
+    An environment has its view as the attribute `view`; None, or no attribute, means that there is
+    nothing to show. Training records the positions and reports draw them, without knowing the task.
+    A picture of positions is painted in layers: first `background`, then a heat map
     (`circle2d_mj.render.canvas.with_counts`) or trajectories (`with_trajectories`), then `overlay`.
     """
 
@@ -38,31 +38,32 @@ class View(Protocol):
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.floating]:
-        """Return the positions of the states that were observed.
+        """Return the positions of the observed states.
 
-        observation: [..., observation size]; info: the arrays [...] that came with it -> [..., 2].
+        observation: [..., observation size]; info: arrays [...] of the same steps -> [..., 2].
         """
         ...
 
     def places(self, positions: NDArray[np.floating]) -> list[str]:
-        """Name the place of each position, [N, 2]: "corridor", "right rim"; [] without names."""
+        """Name the place of each position, [N, 2]: "corridor", "right rim"; [] if places have no
+        names."""
         ...
 
     def background(self, size: int) -> Picture:
-        """Paint what lies below heat and trajectories: [size, size, 3]."""
+        """Paint the layer below heat maps and trajectories: [size, size, 3]."""
         ...
 
     def overlay(self, picture: Picture) -> Picture:
-        """Return the picture with what lies on top of heat and trajectories: outlines, marks."""
+        """Return the picture with the layer above heat maps and trajectories: outlines, marks."""
         ...
 
 
 @runtime_checkable
 class TellsWays(Protocol):
-    """A view that also tells how agents came to the place where their episodes end."""
+    """A view that also tells which way agents took to the place where their episodes ended."""
 
     def ways(self, positions: NDArray[np.floating], costs: NDArray[np.floating]) -> list[str]:
-        """Name the way of each agent: "round", "through"; "" where there is nothing to tell.
+        """Name the way of each agent: "round", "through"; "" if it is unknown.
 
         positions: [N, 2], where the episodes ended; costs: [N], of whole episodes.
         """
@@ -72,10 +73,10 @@ class TellsWays(Protocol):
 def histogram(extent: Extent, positions: ArrayLike, cells: int) -> NDArray[np.int64]:
     """Count the visits to each cell of a picture: [cells, cells], the top row first.
 
-    positions: [N, 2]. Positions up to 2 % of the picture's width or height beyond its edge, as of a
-    ball pressed against it, count for the cell at the edge; positions farther out are not counted,
-    so that the sum of the counts is the number of positions in the picture. Raises ValueError for
-    another shape and for positions that are not finite.
+    positions: [N, 2]. A position up to 2 % of the picture's width or height beyond the edge, as of
+    a ball pressed against it, counts for the cell at the edge; positions farther out do not count,
+    so the sum of the counts is the number of positions in the picture. Raises ValueError for
+    a wrong shape and for positions that are not finite.
     """
     positions = np.asarray(positions)
     if positions.ndim != 2 or positions.shape[1] != 2:

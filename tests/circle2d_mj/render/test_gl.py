@@ -211,7 +211,7 @@ def test_beside_mujocos_own_renderer_and_many(python, backend):
 def test_human_mode_needs_a_screen(python):
     code = "import circle2d_mj\ntry:\n    circle2d_mj.Circle2DEnv(render_mode='human')\n"
     message = python(f"{code}except ValueError as error:\n    print(error)")
-    assert "'human' where there is a screen" in message
+    assert "'human' needs a screen" in message
     assert "rgb_array" in message
 
 
@@ -221,7 +221,7 @@ def test_nor_does_gymnasium_look_for_another_way(task, python):
     make = f"gymnasium.make('{task}', render_mode='human')"
     code = f"import gymnasium, circle2d_mj\ntry:\n    {make}\n"
     message = python(f"{code}except ValueError as error:\n    print(error)")
-    assert "'human' where there is a screen" in message
+    assert "'human' needs a screen" in message
 
 
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no xvfb-run on this machine")
