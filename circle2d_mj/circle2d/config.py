@@ -14,8 +14,8 @@ from circle2d_mj.circle2d.region import CostRegion, Rectangle, StartArea
 
 LEVELS = (0, 1, 2, 3)
 Camera = Literal["top", "side", "follow"]
-"""Where MuJoCo's frames are seen from: above, the side, or behind the agent"""
-_BOUNDS = {  # lowest value, whether it is allowed, and highest value
+"""Camera of MuJoCo's frames: above, at the side of, or behind the agent."""
+_BOUNDS = {  # lowest value, whether that value is allowed, and highest value
     "constraint_radius": (1e-100, True, 1e100),  # squares must stay finite
     "init_radius_multiplier": (0.0, False, 1e6),
     "corridor_height_factor": (0.0, False, 2.0),
@@ -36,28 +36,29 @@ class Circle2DConfig:
     """One Circle2D task: its level, the paper's nine customization parameters, `cutout_depth` and
     `step_length`.
 
-    Lengths are in world units; a factor multiplies `constraint_radius`, so the task is the same at
-    any radius. Source: safe_exploration.tex, table "Circle2D environment customization parameters".
+    Lengths are in world units or multiples of `constraint_radius`; with multiples alone, the task
+    is the same at any radius. Source: safe_exploration.tex, table "Circle2D environment
+    customization parameters".
 
-    Raises TypeError or ValueError, naming the parameter, for a value that is not allowed;
-    ValueError where no feasible start is left.
+    Raises TypeError or ValueError, naming the parameter, for a value that is not allowed, and
+    ValueError if no feasible start is left.
     """
 
     level: int = 1
-    """0: the region cannot be entered. 1: it can, at a cost. 2, 3: two and four more cut-outs."""
+    """0: the region cannot be entered. 1: entering it costs. 2, 3: two and four more cut-outs."""
     constraint_radius: float = 10.0
     """Radius R of the circular cost region."""
     init_radius_multiplier: float = 1.5
-    """Half-width of the square arena, and the farthest start, as a multiple of R."""
+    """Half-width of the square arena, and largest x of a start, as a multiple of R."""
     corridor_height_factor: float = 0.5
     """Height of the left corridor as a multiple of R, in (0, 2]; resizes the cut-outs as well."""
     init_region_size: float = 0.5
-    """Height of the start area on the right as a multiple of R; half of it is its depth into R."""
+    """Height of the start area on the right as a multiple of R; it reaches half of that into R."""
     optima_perturbation: tuple[float, float] = (0.0, 0.0)
-    """Offset of the optimum from the centre, world units; the optimum must lie in the disc."""
+    """Offset of the optimum from the centre in world units; the optimum must lie in the disc."""
     infeasible_region_penetratable: bool | None = None
-    """Whether the region can be entered. None means the level's default (False for level 0). It is
-    resolved when the config is made: `dataclasses.replace(config, level=...)` must give it anew."""
+    """Whether the region can be entered. None: the level's default (False for level 0), resolved
+    when the config is made, so that `dataclasses.replace(config, level=...)` must set it again."""
     reset_on_cost: bool = False
     """Whether a step with cost ends the episode."""
     allow_infeasible_init: bool = False
@@ -66,10 +67,10 @@ class Circle2DConfig:
     """Whether reward is given only inside the corridor and the cut-outs."""
     cutout_depth: float = 0.5
     """Depth of the top and bottom cut-outs (levels 2 and 3) as a multiple of R, in (0, 0.8]; the
-    diagonal ones (level 3) are 0.6 times as deep. Neither is specified in the paper."""
+    diagonal cut-outs (level 3) are 0.6 times as deep. The paper specifies neither."""
     step_length: float = 0.11
-    """Distance that a full action moves the agent along each axis in a step, as a multiple of R, in
-    (0, 2]. Not specified in the paper."""
+    """Distance per environment step along each axis with a full action, as a multiple of R, in
+    (0, 2]. The paper does not specify it."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.level, Integral) or isinstance(self.level, bool):
@@ -98,7 +99,7 @@ class Circle2DConfig:
                 f"of init_radius_multiplier {reach:g}: size / 2 and |1 - size / 2| must be at most "
                 "the multiplier"
             )
-        _ = self.start_area  # refuses a task without a feasible start here, not at its reset
+        _ = self.start_area  # raises if there is no feasible start, before any reset
 
     @cached_property
     def region(self) -> CostRegion:
@@ -107,7 +108,7 @@ class Circle2DConfig:
 
     @cached_property
     def start_area(self) -> StartArea:
-        """Start area of this task's episodes."""
+        """Area in which this task's episodes start."""
         avoid = None if self.allow_infeasible_init else self.region
         return StartArea(self.start_rectangle, avoid)
 
@@ -132,11 +133,11 @@ class Circle2DConfig:
 
     @classmethod
     def of(cls, config: Circle2DConfig | None, parameters: dict[str, Any]) -> Circle2DConfig:
-        """Return the given configuration, or make one of named parameters.
+        """Return the given configuration, or make one from named parameters.
 
-        Both may be given if the only parameter is `level`, as a registered id passes it, and equals
-        the configuration's. Raises TypeError for an unknown name (with the nearest valid one) and
-        where both are given otherwise.
+        Both may be given if the only parameter is `level`, which a registered id passes, and equals
+        the configuration's. Raises TypeError if both are given otherwise, and for an unknown name,
+        suggesting the nearest valid one.
         """
         if config is not None and not isinstance(config, cls):
             raise TypeError(f"config must be a Circle2DConfig, got {config!r}")
@@ -164,14 +165,14 @@ class Circle2DConfig:
 
 
 def check_names(given: Iterable[str], valid: type | Iterable[str], where: str = "") -> None:
-    """Raise TypeError for a name that is none of the valid ones, or of the fields of a dataclass,
-    with the nearest of them."""
+    """Raise TypeError, suggesting the nearest valid name, for a name that is not valid. valid: the
+    names, or a dataclass with fields of these names."""
     names = [f.name for f in fields(valid)] if isinstance(valid, type) else list(valid)
     for name in given:
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            # Python's own words, by which callers (TorchRL) see that they may do without it.
+            # Python's own words: TorchRL recognises them and drops the argument.
             raise TypeError(
                 f"{where}got an unexpected keyword argument {name!r}: {hint}"
                 f"the parameters are {', '.join(names)}"
@@ -179,7 +180,7 @@ def check_names(given: Iterable[str], valid: type | Iterable[str], where: str = 
 
 
 def finite(name: str, value: Any) -> float:
-    """Return a number as a float. Raises TypeError or ValueError, naming it, for anything else."""
+    """Return a finite number as a float. Raises TypeError or ValueError, naming it, otherwise."""
     if not isinstance(value, Real) or isinstance(value, bool):
         raise TypeError(f"{name} must be a number, got {value!r}")
     try:

@@ -1,6 +1,6 @@
-"""Circle2D: the simulation of many copies, for any dynamics, and its gymnasium environments."""
+"""Circle2D: the simulation of many copies, for any dynamics, and its Gymnasium environments."""
 
-# mujoco has no stubs for what is compiled.
+# mujoco has no type stubs for its compiled modules.
 # pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Circle2D:
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space: Space[Any] = Box(-bounds, bounds)
         self.action_space: Box = Box(-1.0, 1.0, (2,), np.float32)
-        # The dynamics hold all of the state.
+        # The dynamics hold the whole state.
         self.start, self.observe = dynamics.start, dynamics.observe
         self.state_dict, self.load_state_dict = dynamics.state_dict, dynamics.load_state_dict
         self._drawer: Any = None
@@ -49,13 +49,13 @@ class Circle2D:
 
     @property
     def view(self) -> Circle2DView:
-        """The arena from above."""
+        """View of the arena from above."""
         from circle2d_mj.circle2d.view import Circle2DView
 
         return Circle2DView(self.config)
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
-        """Move all agents by their actions, [num_envs, 2]."""
+        """Move all agents with their actions, [num_envs, 2]."""
         contact, more = self.dynamics.step(action)
         ended = self.dynamics.position
         costs = task.cost(self.config, ended, contact)
@@ -63,12 +63,12 @@ class Circle2D:
         return Outcome(task.reward(self.config, ended), ends, {"cost": costs, **more})
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Return what the dynamics tell of the state beside the observation."""
+        """Return the numbers of the info with which the dynamics describe the state."""
         tell = getattr(self.dynamics, "state_info", None)
         return tell() if tell else {}
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """Draw the agent `index` in its arena: [640, 640, 3]."""
+        """Draw agent `index` in its arena: [640, 640, 3]."""
         dynamics: Any = self.dynamics
         with_physics = dynamics.camera is not None
         if self._drawer is None:
@@ -86,7 +86,7 @@ class Circle2D:
         return self._drawer.frame(dynamics.position[index])
 
     def show(self, index: int) -> None:
-        """Show the agent `index` in MuJoCo's viewer."""
+        """Show agent `index` in MuJoCo's viewer."""
         physics = self._physics
         if self._window is None:
             from circle2d_mj.render.gl import Window
@@ -98,7 +98,7 @@ class Circle2D:
 
     @cached_property
     def _physics(self) -> Physics:
-        """The dynamics where they are MuJoCo's, else a ball to show."""
+        """The dynamics if they are MuJoCo's, else a ball for the viewer."""
         from circle2d_mj.circle2d.physics import Physics
 
         return self.dynamics if isinstance(self.dynamics, Physics) else Physics(self.config, 1)
@@ -111,18 +111,18 @@ class Circle2D:
         self._drawer = self._window = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_drawer": None, "_window": None}  # they cannot be copied
+        return self.__dict__ | {"_drawer": None, "_window": None}  # cannot be copied
 
 
 class Circle2DVectorEnv(TaskVectorEnv):
-    """Many Circle2D tasks stepped together in numpy.
+    """Many Circle2D tasks stepped together in NumPy.
 
     | | shape | meaning |
     | --- | --- | --- |
     | observation | [num_envs, 2] float32 | x and y over the arena's half-width, in [-1, 1] |
     | action | [num_envs, 2] | step on x and y over 0.11 R (`step_length`), clipped to [-1, 1] |
     | reward | [num_envs] float64 | minus the distance to the optimum over the half-diagonal |
-    | `info["cost"]` | [num_envs] float64 | 1.0 where the move led into the cost region, else 0.0 |
+    | `info["cost"]` | [num_envs] float64 | 1.0 if the move led into the cost region, else 0.0 |
 
     The task is given as a `Circle2DConfig` or by its parameters: `Circle2DVectorEnv(8, level=2)`.
     dynamics: class or function that makes the dynamics from the configuration and num_envs. Seeds,
@@ -154,14 +154,14 @@ class Circle2DVectorEnv(TaskVectorEnv):
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Positions of the agents, world units: [num_envs, 2], a copy."""
+        """Positions of the agents in world units: [num_envs, 2], a copy."""
         return self._dynamics.position.copy()
 
 
 class Circle2DEnv(TaskEnv):
     """One Circle2D task: see `Circle2DVectorEnv` for observation, action, reward and cost.
 
-    `info["cost"]` is a float, on every step and from `reset`. The task is given as a
+    `info["cost"]` is a float, from every step and from `reset`. The task is given as a
     `Circle2DConfig` or by its parameters.
     """
 
@@ -189,7 +189,7 @@ class Circle2DEnv(TaskEnv):
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Position of the agent, world units: [2], a copy."""
+        """Position of the agent in world units: [2], a copy."""
         return self._circle2d.position[0]
 
 

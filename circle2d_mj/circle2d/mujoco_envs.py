@@ -1,4 +1,4 @@
-"""Circle2D with MuJoCo's physics, as gymnasium environments."""
+"""Circle2D with MuJoCo's physics, as Gymnasium environments."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from circle2d_mj.core.envs import without_time_limit
 class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     """Many Circle2D tasks with a ball that has inertia, and a region made of contact geometry.
 
-    As `Circle2DVectorEnv`, except for
+    Like `Circle2DVectorEnv`, except for
 
     | | shape | meaning |
     | --- | --- | --- |
-    | observation | [num_envs, 4] float32 | the position as there; the velocity over 0.11 R a step |
-    | action | [num_envs, 2] | target velocity, or thrust, over the greatest; clipped to [-1, 1] |
-    | `info["cost"]` | [num_envs] float64 | 1.0 where the ball touched a region that pushes, or its centre ended in one that does not, or where the force was above `force_limit` |
-    | `info["contact_force"]` | [num_envs] float64 | N; the region's greatest force on the ball in the step |
-    | `info["penetration"]` | [num_envs] float64 | m; greatest overlap of ball and region in the step, without force the distance from the centre to free space |
+    | observation | [num_envs, 4] float32 | the position as there; the velocity over 0.11 R per step |
+    | action | [num_envs, 2] | target velocity, or thrust, over its maximum; clipped to [-1, 1] |
+    | `info["cost"]` | [num_envs] float64 | 1.0 if the ball touched a region that pushes, or its centre ended in a region that does not push; with `force_limit`, 1.0 if the force was above it |
+    | `info["contact_force"]` | [num_envs] float64 | N; greatest force of the region on the ball during the step |
+    | `info["penetration"]` | [num_envs] float64 | m; greatest overlap of ball and region during the step; if the region does not push, distance from the ball's centre to free space |
 
-    Parameters that `randomize` draws are in the info, each by its name, [num_envs] float64.
+    Parameters that `randomize` draws are in the info by name, [num_envs] float64.
 
-    Parameters: those of `Circle2DConfig` and of `PhysicsConfig`, by name. num_threads: threads that
-    step the environments, with the same results for any number. camera: "top", "side" or "follow",
-    for frames that MuJoCo draws, with shadows and the region's forces as arrows; None for plain
+    Parameters: the fields of `Circle2DConfig` and `PhysicsConfig`. num_threads: threads that step
+    the environments, with the same results for any number. camera: "top", "side" or "follow" for
+    frames that MuJoCo draws, with shadows and the region's forces as arrows; None for plain
     pictures of the arena.
     """  # noqa: E501
 
@@ -85,10 +85,10 @@ def with_physics(
     num_threads: int,
     camera: Camera | None,
 ) -> dict[str, Any]:
-    """The parameters of the task, and the dynamics that the others make.
+    """Return the parameters of the task, and `dynamics` made from the parameters of the physics.
 
-    A contact decides whether the region can be entered, where nothing else says so. Raises as
-    `PhysicsConfig` does, and TypeError for an unknown name.
+    A given `contact` sets infeasible_region_penetratable, unless that is given. Raises like
+    `PhysicsConfig`, and TypeError for an unknown name.
     """
     of_task, of_physics = (
         [f.name for f in fields(kind)] for kind in (Circle2DConfig, PhysicsConfig)

@@ -28,10 +28,10 @@ from circle2d_mj.core.streams import Streams
 
 
 class Physics:
-    """`num_envs` balls, each in a world of its own, on one model that is compiled once.
+    """`num_envs` balls, each in its own world, with one model that is compiled once.
 
-    num_threads: of MuJoCo; the states do not depend on it. Parameters that are drawn anew at resets
-    are each ball's own: see `PhysicsConfig.randomize`. camera: see `Circle2DMuJoCoVectorEnv`.
+    num_threads: MuJoCo's threads; the states do not depend on their number. Each ball has its own
+    values of the parameters in `PhysicsConfig.randomize`. camera: see `Circle2DMuJoCoVectorEnv`.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Physics:
         self._substeps = self.physics.substeps
         self.step_seconds = self._substeps * self.model.opt.timestep
         self._ball = self.model.geom("agent").id
-        # Outside of this region the ball touches nothing.
+        # A ball whose centre is outside of this grown region touches nothing.
         clearance = self.model.geom_size[self._ball, 0] + OVERHANG * config.constraint_radius
         self._reach = config.region.grown(clearance)
         self.start_area = config.start_area
@@ -65,17 +65,17 @@ class Physics:
         self._ctrl = self._batch.bind("ctrl")
         self._sensors = self._batch.bind("sensordata")
         self._full_action = np.tile(self.model.actuator_ctrlrange[:, 1], (num_envs, 1))
-        # Contacts with a region that never pushes matter only at the step's end.
+        # With a region that does not push, contacts are needed only at the end of a step.
         self._flags = None if self._pushes else self._batch.expand("opt.disableflags")
         ranges = self.physics.randomize
         self.drawn = np.tile([low for low, _ in ranges.values()], (num_envs, 1))
-        """Each ball's own parameters, [num_envs, parameters], in the order of `randomize`."""
+        """Each ball's drawn parameters, [num_envs, parameters], in the order of `randomize`."""
         self._apply(np.arange(num_envs))
 
     @property
     def observation_bounds(self) -> tuple[float, ...]:
-        """Upper bounds: a ball pressed against the arena's edge or an oblique wall exceeds 1 by a
-        little."""
+        """Upper bounds. They exceed 1, since a ball pressed against the arena's edge or an oblique
+        wall does so slightly."""
         speed, config = top_speed(self.config, self.physics), self.config
         beyond = 1.0 + 2.0 * speed * self.model.opt.timestep / config.arena
         of_full_step = max(1.0, speed * self.step_seconds / config.full_step)
@@ -87,7 +87,7 @@ class Physics:
         return self._qpos
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Place the agents `index` at random in the start area, and draw their parameters."""
+        """Place the agents `index` at random in the start area and draw their parameters."""
         self.place(index, self.start_area.sample(streams, index))
         if ranges := self.physics.randomize:
             low, high = np.array([*ranges.values()]).T
@@ -96,7 +96,7 @@ class Physics:
             self._apply(index)
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """The parameters that were drawn for each agent, [num_envs] by name."""
+        """Return the parameters that were drawn for each agent, [num_envs] by name."""
         return {name: self.drawn[:, k].copy() for k, name in enumerate(self.physics.randomize)}
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
@@ -105,7 +105,7 @@ class Physics:
         self._qpos[index] = position
 
     def _apply(self, index: NDArray[np.intp]) -> None:
-        """Give the models of the agents `index` the parameters that were drawn for them."""
+        """Write the drawn parameters of the agents `index` into their models."""
         physics, ball, field = self.physics, self._ball, self._batch.expand
         drawn = dict(zip(physics.randomize, self.drawn[index].T, strict=True))
         if "mass" in drawn:
@@ -135,14 +135,14 @@ class Physics:
             self._batch.set_const(index)
 
     def step(self, action: NDArray[np.float64]) -> Move:
-        """Take the physics steps of a step. action: [num_envs, 2], clipped to [-1, 1].
+        """Take the physics steps of an environment step. action: [num_envs, 2], clipped to [-1, 1].
 
-        MuJoCo's contacts decide. A region that pushes is in contact if the ball touched it after
-        any of the physics steps; one without force, if the ball's centre is inside it after the
-        last. "contact_force": the region's greatest force on the ball during the step, N.
-        "penetration": how far the ball and a region that pushes overlapped at most, m; without
-        force, how far the centre is from free space at the end. With cost "force" there is contact
-        where the force exceeds the limit.
+        Contact is what MuJoCo detects: with a region that pushes, the ball touches it after any of
+        the physics steps; with a region that does not push, the ball's centre is inside it after
+        the last. With cost "force", contact means that the force exceeds the limit.
+        "contact_force": greatest force of the region on the ball during the step, N. "penetration":
+        greatest overlap of the ball and a region that pushes, m; for a region that does not push,
+        distance from the ball's centre to free space at the end of the step.
         """
         self._ctrl[:] = np.clip(action, -1.0, 1.0) * self._full_action
         contact, force, depth = self._push() if self._pushes else self._pass_through()
@@ -162,20 +162,20 @@ class Physics:
         return inside, np.zeros(self.num_envs), depth
 
     def _push(self) -> tuple[NDArray, NDArray, NDArray]:
-        # Each row holds the state before a physics step and the forces during it.
+        # Each row has the state before a physics step and the forces during that step.
         rows = self._batch.rollout(self._substeps, record=("sensordata",))["sensordata"]
         force, distance = rows[..., :3], rows[:, 1:, 3]
         overlap = 0.0 - np.minimum(distance.min(axis=1, initial=0.0), self._distance())
         return overlap > 0, np.sqrt(np.square(force).sum(axis=-1).max(axis=1)), overlap
 
     def _distance(self) -> NDArray[np.float64]:
-        """Return the distance of ball and region now, negative in contact, else 0: [num_envs].
+        """Return the current distance of ball and region, negative in contact, else 0: [num_envs].
 
-        mj_step leaves the contacts of the state before its last physics step. To detect them anew
-        takes a tenth of a step's time, so that is done only for balls near the region.
+        After mj_step, contacts belong to the state before the last physics step. Detecting them
+        again takes a tenth of a step's time, so this is done only for balls near the region.
         """
         near = self._reach.contains(self._qpos)
-        if self.physics.xml is not None:  # where anything may be
+        if self.physics.xml is not None:  # the user's scene may have contacts anywhere
             near = np.ones_like(near)
         self._batch.forward(near, mujoco.mjtStage.mjSTAGE_POS)
         return np.where(near, self._sensors[:, 3], 0.0)
@@ -185,19 +185,19 @@ class Physics:
         return task.observe(self.config, self._qpos, self._qvel * self.step_seconds)
 
     def data(self, index: int) -> mujoco.MjData:
-        """The agent `index` as MuJoCo's own MjData, with derived quantities and forces, to draw."""
+        """Return agent `index` as an MjData with derived quantities and forces, for drawing."""
         data = self._batch.get_data(index)
         mujoco.mj_forward(self._batch.get_model(index), data)
         return data
 
     def state_dict(self) -> State:
-        """Return MuJoCo's whole state, `mjSTATE_INTEGRATION`, [num_envs, mj_stateSize], and what
-        was drawn for each agent, where anything is."""
+        """Return MuJoCo's whole state, `mjSTATE_INTEGRATION`, [num_envs, mj_stateSize], and with
+        `randomize` the parameters that were drawn for each agent."""
         state = {"mujoco": self._batch.state.copy()}
         return state | ({"physics": self.drawn.copy()} if self.physics.randomize else {})
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         self._batch.state[:] = state["mujoco"]
         if self.physics.randomize:
             self.drawn[:] = state["physics"]

@@ -1,4 +1,4 @@
-"""The physics of a Circle2D task: its parameters, their checks, and what they leave open."""
+"""The physics of a Circle2D task: its parameters, their checks and their defaults."""
 
 # mujoco has no stubs for MjSpec.
 # pyright: reportAttributeAccessIssue=false
@@ -21,14 +21,15 @@ from circle2d_mj.core.engine import mujoco
 
 BASE = "xml/circle2d.xml"
 BASE_RADIUS = 10.0
-"""R of the scene in that file; a scene of another R is that much larger or smaller."""
+"""R of the scene in that file; for any other R the scene is scaled."""
 DRAG, STIFFNESS = 10.0, 200.0
-"""Defaults of a motor's damping, N·s/m, and of a soft region's stiffness, N/m."""
-# Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
+"""Defaults: damping with motors, N·s/m, and stiffness of a soft region, N/m."""
+# Radii for which lengths, their squares and MuJoCo's float32 meshes keep their precision.
 _RADII = (1e-3, 1e6)
-# Impedance of the stiffest and the least stiff contact: see `softness`.
+# Lowest and highest impedance of a soft contact: see `softness`.
 _IMPEDANCE = (1e-4, 0.9999)
-# Share of the ball's radius that it may cover in a physics step where the region is rigid.
+# Largest distance that the ball may cover in a physics step, over its radius, if the region is
+# rigid.
 _LARGEST_STEP = 0.8
 Actuation = Literal["velocity", "force"]
 Contact = Literal["rigid", "soft", "none"]
@@ -42,51 +43,50 @@ DRAWN = (*DRAWN, "damping_ratio")
 class PhysicsConfig:
     """The physics of a Circle2D task in MuJoCo.
 
-    None is what assets/xml/circle2d.xml holds, or what the text says. A parameter that has no
-    effect beside the others (a stiffness of a rigid region) must stay None. Raises TypeError or
-    ValueError, naming the parameter, for a value that is not allowed.
+    None stands for the value in assets/xml/circle2d.xml, or for the one given below. A parameter
+    that has no effect with the others (a stiffness of a rigid region) must stay None. Raises
+    TypeError or ValueError, naming the parameter, for a value that is not allowed.
     """
 
     mass: float | None = None
     """Mass of the ball, kg; None: 1."""
     friction: float | None = None
-    """Coulomb's coefficient between ball and region; None: 0, it slides freely."""
+    """Coulomb friction coefficient between ball and region; None: 0, the ball slides freely."""
     damping: float | None = None
     """Drag of the medium on the ball, N·s/m; None: 0 with velocity, 10 with force."""
     actuation: Actuation = "velocity"
     """velocity: servos whose target is the action; force: motors whose thrust is the action."""
     gain: float | None = None
-    """Servo: force per difference of speed, N·s/m; None: 20."""
+    """Gain of the servos: force per difference of speed, N·s/m; None: 20."""
     max_speed: float | None = None
-    """Speed that a full action asks for on each axis, m/s, with force that it reaches against the
-    damping; None: `step_length` R in a step."""
+    """Speed on each axis that a full action sets as target, or with force reaches against the
+    damping, m/s; None: `step_length` R per environment step."""
     max_force: float | None = None
-    """Greatest force of each actuator, N; None: servos have no limit, motors the thrust that holds
-    max_speed against the damping."""
+    """Greatest force of each actuator, N; None: no limit for servos; for motors the thrust that
+    holds max_speed against the damping."""
     substeps: int = 10
-    """Physics steps in a step of the task."""
+    """Physics steps per environment step."""
     timestep: float | None = None
     """Length of a physics step, s; None: 0.01."""
     ball_radius: float | None = None
     """Radius of the ball, m; None: 0.025 R."""
     contact: Contact | None = None
     """rigid: the region cannot be entered; soft: it pushes back like a spring; none: it is detected
-    without force; None: the level's, rigid on level 0 and none on levels 1 to 3."""
+    without force; None: the level's default, rigid on level 0 and none on levels 1 to 3."""
     stiffness: float | None = None
-    """Soft region: its force per depth of the ball in it, N/m; None: 200."""
+    """Soft region: force per depth of the ball in it, N/m; None: 200."""
     damping_ratio: float | None = None
-    """Soft region: its damping over the critical one of the ball; None: 1."""
+    """Soft region: damping over the critical damping of the ball; None: 1."""
     cost: CostRule = "contact"
-    """contact: a step costs 1 where the ball touched a region that pushes, or where its centre
-    ended in one that does not; force: where the region's force exceeded force_limit."""
+    """contact: a step costs 1 if the ball touched a region that pushes, or its centre ended in a
+    region that does not push; force: if the region's force exceeded force_limit."""
     force_limit: float | None = None
     """Largest force of the region that costs nothing, N."""
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Ranges, lower and upper end, from which parameters are drawn anew, uniformly, at every
-    reset."""
+    """Ranges (low, high) by parameter; each parameter is drawn uniformly at every reset."""
     xml: str | os.PathLike[str] | None = None
-    """File of a scene of one's own in the place of assets/xml/circle2d.xml, with all that this one
-    names: more geoms, other looks. What else the ball touches counts as the region."""
+    """Scene file that replaces assets/xml/circle2d.xml, for more geoms or other looks; it needs
+    every element that the original names. Anything else that the ball touches is region too."""
 
     def __post_init__(self) -> None:
         for name, allowed in (("actuation", Actuation), ("contact", Contact), ("cost", CostRule)):
@@ -118,7 +118,7 @@ class PhysicsConfig:
         return number
 
     def _refuse_without_effect(self) -> None:
-        """ValueError for a parameter that is given though nothing depends on it."""
+        """Raise ValueError for a given parameter that has no effect."""
         by_force, contact = self.actuation == "force", f"contact={self.contact!r}"
         useless = {
             "gain": by_force and "actuation='force'",
@@ -152,8 +152,8 @@ class PhysicsConfig:
 
 
 def base_scene(physics: PhysicsConfig) -> mujoco.MjSpec:
-    """The scene before a task changes it. Raises ValueError for one of the user's own without the
-    things that a task changes or reads."""
+    """Return the scene before a task changes it. Raises ValueError if a user's scene lacks an
+    element that a task changes or reads."""
     path = asset(BASE) if physics.xml is None else Path(physics.xml)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -176,7 +176,7 @@ def base_scene(physics: PhysicsConfig) -> mujoco.MjSpec:
     }
     if missing := [words for words, found in there.items() if not found]:
         raise ValueError(
-            f"xml {str(path)!r} needs {'; '.join(missing)}: begin with a copy of {asset(BASE)}"
+            f"xml {str(path)!r} needs {'; '.join(missing)}: start from a copy of {asset(BASE)}"
         )
     return spec
 
@@ -186,11 +186,11 @@ def _names(elements: Iterable[Any]) -> list[str]:
 
 
 def completed(config: Circle2DConfig, physics: PhysicsConfig) -> PhysicsConfig:
-    """The physics with what it leaves open: numbers of the base scene, and defaults of the task.
+    """Return the physics with every None replaced by the base scene's or the task's default.
 
     Raises ValueError for a constraint_radius outside [1e-3, 1e6], a contact that contradicts
-    infeasible_region_penetratable, a rigid corridor that the ball does not fit into, a ball so fast
-    that it could pass into a rigid region, and a stiffness that the timestep does not resolve.
+    infeasible_region_penetratable, a rigid corridor too narrow for the ball, a ball so fast that it
+    could pass into a rigid region, and a stiffness that the timestep does not resolve.
     """
     low, high = _RADII
     radius, penetratable = config.constraint_radius, config.infeasible_region_penetratable
@@ -236,15 +236,15 @@ def _check(config: Circle2DConfig, physics: PhysicsConfig) -> None:
         factor = config.corridor_height_factor
         if factor <= narrowest:
             raise ValueError(
-                f"corridor_height_factor must be above {narrowest:g} where the region is rigid, "
+                f"corridor_height_factor must be above {narrowest:g} if the region is rigid, "
                 f"so that the agent's body fits into the corridor, got {factor!r}"
             )
         fastest = _LARGEST_STEP * physics.ball_radius / (math.sqrt(2) * physics.timestep)
         if (speed := top_speed(config, physics)) > fastest:
             raise ValueError(
-                f"the ball may reach {speed:g} m/s on each axis, with which it could pass into the "
-                f"rigid region: at most {fastest:g} with ball_radius {physics.ball_radius:g} and "
-                f"timestep {physics.timestep:g}; lower max_speed, max_force or timestep"
+                f"the ball may reach {speed:g} m/s on each axis, and could pass into the rigid "
+                f"region: at most {fastest:g} is allowed with ball_radius {physics.ball_radius:g} "
+                f"and timestep {physics.timestep:g}; lower max_speed, max_force or timestep"
             )
     if physics.contact == "soft":
         stiffest, lightest = span(physics, "stiffness")[1], span(physics, "mass")[0]
@@ -258,13 +258,13 @@ def _check(config: Circle2DConfig, physics: PhysicsConfig) -> None:
 
 
 def span(physics: PhysicsConfig, name: str) -> tuple[float, float]:
-    """Least and greatest value of a parameter, which may be drawn."""
+    """Return the least and the greatest value of a parameter that may be in `randomize`."""
     value = getattr(physics, name)
     return physics.randomize.get(name, (value, value))
 
 
 def top_speed(config: Circle2DConfig, physics: PhysicsConfig) -> float:
-    """Greatest speed along an axis that the actuators can give the ball, m/s."""
+    """Return the greatest speed along an axis that the actuators can give the ball, m/s."""
     if physics.actuation == "velocity":
         return span(physics, "max_speed")[1]
     force, drag = span(physics, "max_force")[1], span(physics, "damping")[0]
@@ -273,20 +273,21 @@ def top_speed(config: Circle2DConfig, physics: PhysicsConfig) -> float:
 
 
 def full_action(physics: PhysicsConfig) -> str:
-    """The parameter that is the control of a full action."""
+    """Return the name of the parameter whose value is the control of a full action."""
     return "max_speed" if physics.actuation == "velocity" else "max_force"
 
 
 def softness(
     physics: PhysicsConfig, stiffness: Any, damping_ratio: Any, mass: Any
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """MuJoCo's solref [..., 2] and impedance [...] of a spring and damper: floats or arrays [...].
+    """Return MuJoCo's solref [..., 2] and impedance [...] for a spring and damper.
 
-    In contact at rest MuJoCo's force is `m·k·depth / (1 - d)`, with solref (-k, -b) and constant
-    impedance d; so `k = K (1 - d) / m`. The contact also takes a share d off other forces: d is
-    next to 0. Where a spring of stiffness K would be faster than two physics steps, the shortest
-    time constant of MuJoCo's own contacts, d is as near to 1 as keeps k there: the law at rest
-    stays, and the limit is a rigid region. Source: MuJoCo's documentation, "Solver parameters".
+    stiffness K, damping_ratio, mass m: floats or arrays [...]. In contact at rest, MuJoCo's force
+    is `m·k·depth / (1 - d)` with solref (-k, -b) and constant impedance d; so `k = K (1 - d) / m`.
+    The contact also removes a share d of other forces, so d is close to 0. If a spring of stiffness
+    K would be faster than two physics steps, the shortest time constant of MuJoCo's own contacts, d
+    is raised until k meets it: the force at rest stays the same, and the limit is a rigid region.
+    Source: MuJoCo's documentation, "Solver parameters".
     """
     low, high = _IMPEDANCE
     fastest = _fastest_spring(physics.timestep, damping_ratio)
@@ -296,6 +297,6 @@ def softness(
 
 
 def _fastest_spring(timestep: float | None, damping_ratio: Any) -> Any:
-    """Greatest stiffness over mass that physics steps resolve, 1/s²."""
+    """Return the greatest stiffness over mass that the physics steps resolve, 1/s²."""
     assert timestep is not None
     return np.square(0.5 / (timestep * np.maximum(damping_ratio, 1.0)))

@@ -1,4 +1,4 @@
-"""The cost region, a disc less its cut-outs, and the starts of episodes outside it."""
+"""The cost region, a disc without its cut-outs, and the area in which episodes start."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class CutOut(NamedTuple):
     """A half-open strip of free space: `along >= inner` and `|across| <= half_width`.
 
-    `along = p·(cos, sin)` and `across = p·(-sin, cos)` in world units. It stands for its mirror
-    image in the x axis too.
+    `along = p·(cos, sin)` and `across = p·(-sin, cos)` in world units. The mirror image in the x
+    axis is free space too.
     """
 
     name: str
@@ -35,9 +35,9 @@ def cutouts(
 ) -> tuple[CutOut, ...]:
     """Return the strips of a level with y >= 0: corridor, top (level 2), +45° (level 3).
 
-    The corridor ends 0.05 R short of the centre; the top one is `depth` R deep, the +45° one 0.6
-    times as deep and half as wide. No strip but the corridor reaches the x axis, for any height
-    factor up to 2 and depth up to 0.8.
+    The corridor ends 0.05 R before the centre; the top cut-out is `depth` R deep, and the +45°
+    cut-out is 0.6 times as deep and half as wide. Only the corridor reaches the x axis, for any
+    height factor up to 2 and depth up to 0.8.
     """
     half_width = height_factor * radius / 2
     corridor = CutOut("corridor", -1.0, 0.0, 0.05 * radius, half_width)
@@ -49,10 +49,11 @@ def cutouts(
 
 
 class CostRegion:
-    """The open disc `‖p‖ < R` less the corridor and the level's cut-outs.
+    """The open disc `‖p‖ < R` without the corridor and the level's cut-outs.
 
-    It is symmetric in the x axis, and so are its tests, bit for bit. Source: safe_exploration.tex,
-    "Circle2D details" and the figure of the levels; the cut-outs' sizes define version v0.
+    It is symmetric in the x axis, and so are the results of its methods, bit for bit. Source:
+    safe_exploration.tex, "Circle2D details" and the figure of the levels; the sizes of the cut-outs
+    define version v0.
     """
 
     def __init__(self, config: Circle2DConfig) -> None:
@@ -68,26 +69,26 @@ class CostRegion:
         ]
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Test whether points lie in the cost region. The rim is not part of it.
+        """Test whether points lie in the cost region, without its rim.
 
         points: [..., 2] world units -> [...] bool.
         """
         return _test(self._contains, points)
 
     def in_cutout(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Test whether points lie in the corridor or a cut-out; these extend beyond the disc.
+        """Test whether points lie in the corridor or a cut-out, which extend beyond the disc.
 
         points: [..., 2] world units -> [...] bool.
         """
         return _test(self._in_cutout, points)
 
     def depth(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance of points to free space: 0 outside the region.
+        """Return the distance of points to free space, 0 outside the region.
 
         points: [..., 2] world units -> [...] world units.
         """
         points = np.asarray(points, dtype=np.float64)
-        x, y = points[..., 0], np.abs(points[..., 1])  # of mirror images, the nearer one
+        x, y = points[..., 0], np.abs(points[..., 1])  # of two mirror images, the nearer counts
         depth: NDArray[np.float64] = self.radius - np.hypot(x, y)
         for cut in self.cutouts:
             before = cut.inner - (x * cut.cos + y * cut.sin)
@@ -96,8 +97,8 @@ class CostRegion:
         return np.asarray(np.where(self.contains(points), depth, 0.0))
 
     def grown(self, margin: float) -> CostRegion:
-        """Return the region grown by `margin`, world units. At the corners where a cut-out meets
-        the rim or another cut-out it grows by a little more."""
+        """Return the region grown by `margin`, world units; by slightly more at corners where a
+        cut-out meets the rim or another cut-out."""
         grown = copy.copy(self)
         narrower = [
             cut._replace(inner=cut.inner + margin, half_width=cut.half_width - margin)
@@ -107,7 +108,7 @@ class CostRegion:
         return grown
 
     def places(self, points: ArrayLike) -> list[str]:
-        """Name the place of each point: "cost region", "corridor", "top cut-out",
+        """Return the name of each point's place: "cost region", "corridor", "top cut-out",
         "bottom diagonal cut-out", "right rim" (anywhere outside the disc on that side), ...
 
         points: [N, 2] world units.
@@ -125,23 +126,23 @@ class CostRegion:
         return "cost region"
 
     def crossing(self) -> float:
-        """Return the length of the shortest way through the region into the corridor, along the
-        axis on which it is longer; world units. It begins outside the disc, right of the corridor's
-        inner end, or in another cut-out. 0 where no region lies between.
+        """Return the length of the shortest way through the region into the corridor, measured on
+        the axis along which it is longer, world units. Ways start outside the disc and right of the
+        corridor's inner end, or in another cut-out. 0 if no region lies in between.
         """
         corridor, *others = self.cutouts
         end, half = corridor.inner, corridor.half_width
-        # Diagonally to the rim: (t - end)² + (t + half)² = R².
+        # Diagonally from the corridor's corner to the rim: (t - end)² + (t + half)² = R².
         shift, rest = half - end, (end * end + half * half - self.radius * self.radius) / 2
         found = [-shift / 2 + math.sqrt(shift * shift / 4 - rest)]
-        for cut in others:  # from the corners of its inner end
+        for cut in others:  # from the corners of the cut-out's inner end
             for across in (-cut.half_width, cut.half_width):
                 x = cut.inner * cut.cos - across * cut.sin
                 y = cut.inner * cut.sin + across * cut.cos
                 found.append(max(x + end, y - half))
         return max(min(found), 0.0)
 
-    # These take coordinates with y >= 0, as arrays or as plain floats, and return bools to match.
+    # These methods take coordinates with y >= 0, arrays or floats, and return bools likewise.
 
     def _contains(self, x: Any, y: Any) -> Any:
         in_disc = x * x + y * y < self.radius * self.radius
@@ -160,9 +161,9 @@ class CostRegion:
 
 
 class _Linear(NamedTuple):
-    """`a·x + b·y` against a bound, all scaled so that a and b are 0 or ±1 for every strip.
+    """A linear form `a·x + b·y` and its bound, scaled so that a and b are 0 or ±1 for every strip.
 
-    Multiplying by them is then superfluous, and most of a step's time would go there.
+    The multiplications, which would take most of a step's time, are then unnecessary.
     """
 
     a: float
@@ -187,12 +188,12 @@ def _times(factor: float, values: Any) -> Any:
 
 
 def _test(test: Callable[[Any, Any], Any], points: ArrayLike) -> NDArray[np.bool_]:
-    """The answers of a test that takes x and |y| to points [..., 2]."""
+    """Apply a test of x and |y| to points [..., 2] -> [...] bool."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim == 0 or points.shape[-1] != 2:
         raise ValueError(f"points must have shape [..., 2], got {list(points.shape)}")
     if points.size == 2:
-        # One point: the same formulas on plain floats, without numpy's cost per call.
+        # One point: the same formulas on plain floats, without NumPy's cost per call.
         x, y = points.ravel().tolist()
         return np.full(points.shape[:-1], test(x, abs(y)))
     return test(points[..., 0], np.abs(points[..., 1]))
@@ -201,22 +202,22 @@ def _test(test: Callable[[Any, Any], Any], points: ArrayLike) -> NDArray[np.bool
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
 """Lower and upper corner, ((x, y), (x, y)), in world units."""
 
-# Few draws are then rejected; they make up most of the time of a reset of many environments.
+# With this share of free cells few draws are rejected. Draws take most of the time of a reset.
 _FREE_SHARE = 0.9
 # Halving 26 times resolves a feasible patch of 1e-8 of the rectangle's side.
 _MAX_SPLITS = 26
-# Classifying as many cells takes 1.6 GB.
+# Classifying this number of cells takes 1.6 GB.
 _MAX_CELLS = 2**23
 
 
 class StartArea:
-    """A rectangle less a region, sampled exactly even where little of it is left.
+    """A rectangle without a region, sampled exactly even if little of it is left.
 
     The rectangle is split into equal cells, and cells that surely lie in the region are dropped,
-    until nearly all that is left is surely free. A cell is then drawn, a point in it, and both
-    again while the point lies in the region: uniform over the feasible part. region=None: uniform
-    over all of the rectangle. Raises ValueError where nothing feasible is left, or no more than an
-    edge so thin that millions of cells would be needed.
+    until nearly all remaining cells are surely free. `sample` draws a cell and a point in it, and
+    repeats both while the point lies in the region, so that points are uniform over the feasible
+    part. region=None: uniform over the whole rectangle. Raises ValueError if nothing feasible is
+    left, or just an edge so thin that millions of cells would be needed.
     """
 
     def __init__(self, rectangle: Rectangle, region: CostRegion | None) -> None:
@@ -246,9 +247,9 @@ class StartArea:
             self._corners, free = self._corners[~infeasible], free[~infeasible]
             if len(free) and free.mean() >= _FREE_SHARE:
                 return
-            # At the edge of a cut-out that only touches the rectangle each split doubles the cells,
-            # and none gets free. Where it overlaps, but by less than a cell, enough are free when
-            # cells are a tenth as long, and there are 100 times as many.
+            # If a cut-out only touches the rectangle, each split doubles the cells along its edge,
+            # and none becomes free. If it overlaps by less than a cell, enough cells are free once
+            # they are a tenth as long, and then there are 100 times as many.
             if len(free) * (4 if free.any() else 100) > _MAX_CELLS:
                 break
             self._size = self._size / 2
@@ -264,9 +265,9 @@ class StartArea:
 def classify_cells(
     region: CostRegion, low: NDArray, size: NDArray
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which cells surely lie in the region, and which surely outside: two bool [n].
+    """Return masks of the cells that surely lie in the region and surely outside: two bool [n].
 
-    low: [n, 2] lower corners, size: [2]. Cells near the edges of cut-outs may be neither.
+    low: [n, 2] lower corners, size: [2]. Cells near the edges of cut-outs may be in neither mask.
     """
     corners = low[:, None] + np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) * size
     farthest = np.hypot(*np.abs(corners).max(axis=1).T)

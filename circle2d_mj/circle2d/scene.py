@@ -25,30 +25,30 @@ from circle2d_mj.circle2d.region import CostRegion
 from circle2d_mj.core.engine import mujoco
 
 HEIGHT = 0.1
-"""Height of the prisms as a multiple of R. The ball moves at half of it and touches sides only."""
+"""Height of the prisms as a multiple of R. The ball moves at half height and touches only sides."""
 SHEER = 0.35
-"""Opacity of a region in which the ball can be"""
+"""Opacity of a region that the ball can enter."""
 OVERLAP = 0.2
-"""How far a soft region's prisms reach into each other, as a multiple of R"""
+"""How far a soft region's prisms reach into each other, as a multiple of R."""
 VERTICES = 256
-"""Vertices of the polygon that stands for the disc and has the disc's area"""
+"""Number of vertices of the polygon that replaces the disc and has the disc's area."""
 OVERHANG = 1e-4
-"""Greatest distance of that polygon's edge from the circle, as a multiple of R"""
-# MuJoCo takes the height that the top camera sees, a length, for an angle: below 180.
+"""Greatest distance of that polygon's edge from the circle, as a multiple of R."""
+# The height that the orthographic top camera sees, a length, is checked as an angle: below 180.
 _MAX_FOVY = 179.0
-# A contact is listed within margin + gap; its force sets in at the margin, which lies too deep
-# inside the region to be reached. It lies no deeper, since XML keeps six digits of the sum.
+# A contact is listed within margin + gap, but its force starts at the margin: a margin of -R lies
+# too deep in the region to be reached. Not deeper, since XML keeps six digits of the sum.
 _NEVER = -1.0
 
 
 def scene(
     config: Circle2DConfig, physics: PhysicsConfig | None = None, *, with_region: bool = True
 ) -> mujoco.MjSpec:
-    """The scene of a task, to be compiled or written out (`.to_xml()`).
+    """Return the scene of a task, to be compiled or written out (`.to_xml()`).
 
-    A rigid region pushes the ball off, a soft one as a spring does. One without force never pushes:
-    its contacts are listed, and only while the ball's centre is inside. with_region=False leaves
-    the region out. Raises ValueError as `completed` does.
+    A rigid region pushes the ball off, a soft region pushes like a spring. With contact "none" the
+    region never pushes: contacts are only listed, while the ball's centre is inside.
+    with_region=False leaves the region out. Raises ValueError like `completed`.
     """
     physics = completed(config, physics or PhysicsConfig())
     spec = base_scene(physics)
@@ -74,16 +74,16 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], min(2 * arena, _MAX_FOVY)
     for joint in spec.joints:
         joint.range = [-arena, arena]
-        joint.solimp_limit[2] *= scale  # a width, as the next one
+        joint.solimp_limit[2] *= scale  # a width, like solimp[2] below
     agent.solimp[2] *= scale
     spec.stat.extent, spec.stat.center = 2 * arena, [0.0, 0.0, 0.0]
-    # A length and an energy per mass: absolute tolerances make small worlds less exact.
+    # A length and an energy per mass; unscaled tolerances would make small worlds less exact.
     spec.option.ccd_tolerance *= scale
     spec.option.tolerance *= scale**2
 
 
 def _light(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
-    """Add the cameras beside "top", a light that casts shadows, and the size of force arrows."""
+    """Add the cameras "side" and "follow" and a light with shadows; set the size of arrows."""
     radius, arena, ball = config.constraint_radius, config.arena, spec.body("agent")
     for parent, name, place, fovy in (
         (spec.worldbody, "side", np.array([0.0, -2.4, 1.5]) * arena, 38.0),
@@ -101,17 +101,17 @@ def _light(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     sun.diffuse, sun.specular = [0.5] * 3, [0.0] * 3
     spec.visual.headlight.diffuse, spec.visual.headlight.ambient = [0.2] * 3, [0.45] * 3
     spec.visual.quality.offsamples, spec.visual.map.shadowclip = 4, 0.75
-    spec.visual.map.zfar = 200.0  # nearer, shadows have holes
+    spec.visual.map.zfar = 200.0  # with less, shadows have holes
     sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=16, height=96)
     sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
     sky.rgb1, sky.rgb2 = [0.75, 0.82, 0.9], [0.97, 0.97, 0.97]
-    spec.visual.map.force = 0.02 * radius / BASE_RADIUS  # m for each N
+    spec.visual.map.force = 0.02 * radius / BASE_RADIUS  # m per N
     spec.visual.rgba.contactforce = [0.95, 0.5, 0.0, 1.0]
     spec.stat.meansize, spec.stat.meanmass = 0.15 * radius, 1.0
 
 
 def _actuate(spec: mujoco.MjSpec, physics: PhysicsConfig) -> None:
-    """Set up drag and actuators. Their greatest control is a full action."""
+    """Set drag and actuators; a full action is the actuators' greatest control."""
     most = getattr(physics, full_action(physics))
     for joint in spec.joints:
         joint.damping[0] = physics.damping
@@ -127,19 +127,19 @@ def _actuate(spec: mujoco.MjSpec, physics: PhysicsConfig) -> None:
 
 
 def _set_contact(spec: mujoco.MjSpec, physics: PhysicsConfig) -> None:
-    """Set what the ball's contacts with the region are like, where they differ from the base's."""
+    """Set the parameters of the ball's contacts with the region that differ from the base scene."""
     ball, slides = spec.geom("agent"), span(physics, "friction")[1] == 0.0
     if physics.contact == "none" or (physics.contact == "rigid" and slides):
         return
-    ball.priority = 1  # its numbers hold, not the prisms'
+    ball.priority = 1  # the ball's contact parameters apply, not the prisms'
     if physics.contact == "soft":
-        # With "discrete", forces at rest would depend on damping and gain, and on their limits.
+        # With mjINT_DISCRETE, forces at rest would depend on damping, gain and force limits.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         numbers = physics.stiffness, physics.damping_ratio, physics.mass
         ball.solref, impedance = softness(physics, *numbers)
         ball.solimp[:2] = impedance
     ball.condim, ball.friction[0] = 1 if slides else 3, physics.friction
-    if not slides:  # with a pyramid for a cone, friction would stay below its coefficient
+    if not slides:  # a pyramidal cone would give less friction than its coefficient
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
 
 
@@ -150,7 +150,7 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig, physics: PhysicsCon
     def prisms(name: str, pieces: list[NDArray], low: float, high: float, **more: Any) -> Any:
         for k, piece in enumerate(pieces):
             prism = [np.column_stack((piece, np.full(len(piece), z))) for z in (low, high)]
-            # The inertia is not used; a shell's exists in small worlds too.
+            # The inertia is unused, but must exist; a shell's does in small worlds too.
             shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
             spec.add_mesh(name=f"{name}{k}", uservert=np.concatenate(prism).ravel(), inertia=shell)
             yield spec.worldbody.add_geom(
@@ -161,7 +161,7 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig, physics: PhysicsCon
                 **more,
             )
 
-    if soft:  # deep inside, the nearest side must be nearer than top and bottom
+    if soft:  # even deep inside, the nearest side must be nearer than top and bottom
         overlapping = convex_pieces(config.region, OVERLAP * radius)
         for geom in prisms("region", overlapping, height / 2 - radius, height / 2 + radius):
             geom.group, geom.rgba = 3, [0.62, 0.62, 0.62, 0.2]
@@ -178,9 +178,10 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig, physics: PhysicsCon
 def convex_pieces(region: CostRegion, overlap: float = 0.0) -> list[NDArray[np.float64]]:
     """Split the region into convex polygons: [vertices, 2] each, world units.
 
-    Each strip is cut out of every piece that it meets. The parts to its left, to its right and
-    behind its inner end remain; the latter reaches so far into the others. 3 pieces on level 1, 7
-    on level 2, 11 on level 3, or more with an overlap.
+    Each strip is cut out of every piece that it meets. The parts to the strip's left, to its right
+    and beyond its inner end remain; the part beyond the end reaches `overlap`, world units, into
+    the other two. There are 3 pieces on level 1, 7 on level 2 and 11 on level 3, or more with an
+    overlap.
     """
     half_angle = math.pi / VERTICES
     radius = region.radius * math.sqrt(2 * half_angle / math.sin(2 * half_angle))
@@ -191,7 +192,7 @@ def convex_pieces(region: CostRegion, overlap: float = 0.0) -> list[NDArray[np.f
             along, across = np.array([cut.cos, sin]), np.array([-sin, cut.cos])
             how = (along, across, *cut[-2:], overlap)
             pieces = [part for piece in pieces for part in _less(piece, *how)]
-    # A sliver's area does not matter, and its volume is too small for a convex hull.
+    # Drop slivers: their area does not matter, and their volume is too small for a convex hull.
     return [piece for piece in pieces if _area(piece) > 1e-9 * region.radius**2]
 
 
@@ -203,7 +204,8 @@ def _less(
     half_width: float,
     overlap: float,
 ) -> list[NDArray]:
-    """Split a convex polygon less the strip `p·along >= inner`, `|p·across| <= half_width`."""
+    """Cut the strip `p·along >= inner`, `|p·across| <= half_width` out of a convex polygon; return
+    the convex parts that remain."""
     between = _clip(_clip(piece, across, -half_width), -across, -half_width)
     if not len(_clip(between, along, inner)):
         return [piece]
@@ -213,7 +215,7 @@ def _less(
 
 
 def _clip(polygon: NDArray, normal: NDArray, bound: float) -> NDArray:
-    """Return the part of a convex polygon where `p·normal >= bound`; no vertices if empty."""
+    """Return the part of a convex polygon with `p·normal >= bound`; [0, 2] if it is empty."""
     beyond = polygon @ normal - bound
     vertices = []
     for k in range(len(polygon)):

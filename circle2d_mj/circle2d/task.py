@@ -1,9 +1,9 @@
 """Circle2D: observation, reward and cost, and the paper's dynamics.
 
-The functions are the place to change the task: both modes (kinematic and MuJoCo), the single and
-the vector environment call them. `StartArea` says where episodes start, `CostRegion` where costs
-lie, `Circle2DConfig` how far a step goes. Source: safe_exploration.tex, "Circle2D details"; what it
-leaves open defines version v0.
+To change the task, change the functions of this module: both modes (kinematic and MuJoCo) and the
+single and vector environments call them. `StartArea` defines where episodes start, `CostRegion`
+where steps cost, `Circle2DConfig` how far a step goes. Source: safe_exploration.tex, "Circle2D
+details"; choices that it leaves open define version v0.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from circle2d_mj.core.streams import Streams
 
 
 class Move(NamedTuple):
-    """Result of a step of the dynamics: fresh arrays, an entry for each environment."""
+    """Result of a step of the dynamics: new arrays with an entry for each environment."""
 
     contact: NDArray[np.bool_]
-    """[num_envs], whether the agent touched the cost region, for `cost`"""
+    """[num_envs], whether the agent touched the cost region; the argument of `cost`."""
     info: dict[str, NDArray[np.float64]]
-    """[num_envs] for each of `Dynamics.info_units`"""
+    """[num_envs] for each name in `Dynamics.info_units`."""
 
 
 def observe(
@@ -33,10 +33,10 @@ def observe(
     position: NDArray[np.float64],
     velocity: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float32]:
-    """Scale the position by the arena's half-width, and append the velocity where there is one.
+    """Scale the position by the arena's half-width, and append the scaled velocity if given.
 
-    position: [..., 2] world units -> [..., 2] float32 in [-1, 1]. velocity: [..., 2] world units a
-    step -> [..., 4], its last two numbers as multiples of a full action's step.
+    position: [..., 2] world units -> [..., 2] float32 in [-1, 1]. velocity: [..., 2] world units
+    per step -> [..., 4], the last two numbers as multiples of a full action's step.
     """
     scaled = (position * (1.0 / config.arena)).astype(np.float32)
     if velocity is None:
@@ -46,15 +46,15 @@ def observe(
 
 
 def position(config: Circle2DConfig, observation: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the position of an observation: [..., 2 or 4] -> [..., 2] world units."""
+    """Return the position in an observation: [..., 2 or 4] -> [..., 2] world units."""
     return observation[..., :2].astype(np.float64) * config.arena
 
 
 def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return minus the distance to the optimum over the arena's half-diagonal.
 
-    That is `-‖p - o‖ / (√2·m·R)`; with `sparse_reward` one more inside the corridor and the
-    cut-outs, and 0 elsewhere.
+    That is `-‖p - o‖ / (√2·m·R)`; with `sparse_reward`, 1 is added in the corridor and the
+    cut-outs, and the reward is 0 elsewhere.
     position: [..., 2] world units -> [...] float64; in [-1, 0] for the default optimum.
     """
     x, y = position[..., 0], position[..., 1]
@@ -70,7 +70,7 @@ def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.
 def cost(
     config: Circle2DConfig, position: NDArray[np.float64], contact: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return 1.0 where the agent touched the cost region in the step, else 0.0.
+    """Return 1.0 if the agent touched the cost region in the step, else 0.0.
 
     position: [..., 2] world units, where the step ended; contact: [...], whether the dynamics
     report a touch (see `Kinematic.step`, `Physics.step`) -> [...] float64.
@@ -79,16 +79,16 @@ def cost(
 
 
 class Dynamics(Protocol):
-    """How actions move the agents: `Kinematic`, `Physics`, or yours."""
+    """How actions move the agents: `Kinematic`, `Physics`, or a class of your own."""
 
     info_units: dict[str, str]
-    """Units of the numbers that `step` adds to the info, beside the cost, by name."""
+    """Units, by name, of the numbers that `step` adds to the info besides the cost."""
     camera: str | None
     """Camera of frames that MuJoCo draws; None for plain pictures of the arena."""
 
     @property
     def observation_bounds(self) -> tuple[float, ...]:
-        """Upper bounds of the observation's absolute values; one for each number."""
+        """Upper bounds of the absolute values of the observation's numbers."""
         ...
 
     @property
@@ -97,28 +97,28 @@ class Dynamics(Protocol):
         ...
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Place the agents `index` at random, at rest, with numbers from their streams alone."""
+        """Place the agents `index` at random, at rest, drawing only from their streams."""
         ...
 
     def step(self, action: NDArray[np.float64]) -> Move:
-        """Move every agent by its action, [num_envs, 2]."""
+        """Move every agent with its action, [num_envs, 2]."""
         ...
 
     def observe(self) -> NDArray[np.float32]:
-        """Return the observations: a fresh array [num_envs, len(observation_bounds)]."""
+        """Return the observations: a new array [num_envs, len(observation_bounds)]."""
         ...
 
     def state_dict(self) -> State:
-        """Return all that steps depend on: named arrays (copies), num_envs their first axis."""
+        """Return everything that steps depend on: named arrays [num_envs, ...] (copies)."""
         ...
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         ...
 
 
 class Kinematic:
-    """`num_envs` agents whose actions are their steps."""
+    """`num_envs` agents whose actions are their displacements."""
 
     observation_bounds = (1.0, 1.0)
     camera: str | None = None
@@ -127,7 +127,7 @@ class Kinematic:
         self.config = config
         self.info_units: dict[str, str] = {}
         self.start_area = config.start_area
-        # Column-major: every formula works on x and y separately.
+        # Column-major, since every formula works on x and y separately.
         self.position = np.zeros((num_envs, 2), order="F")
         """Positions of the agents: [num_envs, 2], world units."""
 
@@ -142,11 +142,11 @@ class Kinematic:
     def step(self, action: NDArray[np.float64]) -> Move:
         """Move every agent: `p' = clip(p + step_length·R·a, arena)`.
 
-        action: [num_envs, 2], clipped to [-1, 1]. There is contact where the move ends in the cost
-        region. Where that is rigid, such a move is taken back, and is a contact all the same.
+        action: [num_envs, 2], clipped to [-1, 1]. A move that ends in the cost region is a contact.
+        If the region is rigid, the move is undone, but still counts as a contact.
         """
         config, arena = self.config, self.config.arena
-        end = action.T.copy().T  # a fresh array in the memory order of `position`
+        end = action.T.copy().T  # a new array in the memory order of `position`
         np.maximum(end, -1.0, out=end)
         np.minimum(end, 1.0, out=end)
         end *= config.full_step
@@ -168,5 +168,5 @@ class Kinematic:
         return {"position": self.position.copy()}
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         self.position = np.asfortranarray(state["position"])

@@ -18,7 +18,7 @@ from circle2d_mj.core.view import Extent, Picture
 START, START_IN_REGION = (222, 238, 218), (166, 190, 160)
 WALL = (90, 90, 90)
 RING_SHADE = 0.75
-"""Brightness of the circles of equal reward, over that of what lies below them."""
+"""Brightness of the circles of equal reward, relative to the picture below them."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class Circle2DView:
 
     @property
     def extent(self) -> Extent:
-        """The arena."""
+        """The arena's edges in world units."""
         arena = self.config.arena
         return -arena, arena, -arena, arena
 
     @property
     def axes(self) -> tuple[str, str]:
-        """The two coordinates."""
+        """Names of the two coordinates."""
         return "x (world units)", "y (world units)"
 
     def positions(
@@ -51,14 +51,14 @@ class Circle2DView:
     def ways(self, positions: NDArray[np.floating], costs: NDArray[np.floating]) -> list[str]:
         """Tell how agents that ended in the corridor came there: "round" or "through".
 
-        Through the region: with at least as many cost steps as that takes at full speed, see
-        `CostRegion.crossing`. With fewer an agent has surely come round to the corridor's side,
-        as it has where the region is rigid. positions: [N, 2], where the episodes ended; costs:
-        [N] -> N words; empty for who ended elsewhere, and where an agent may start anywhere or
-        pass at no cost.
+        positions: [N, 2], where the episodes ended; costs: [N] -> N words, empty for agents that
+        ended elsewhere, and for all if agents may start anywhere or cross the region at no cost.
+        "through": at least as many cost steps as the crossing takes at full speed, see
+        `CostRegion.crossing`. "round": fewer cost steps, or a rigid region; the agent surely went
+        round to the corridor's open side.
         """
         config = self.config
-        # Of a way of d, which n + 1 steps cross, the ends of n lie in the region.
+        # An agent that crosses a distance in n + 1 steps ends n of them in the region.
         least = math.ceil(config.region.crossing() / config.full_step) - 1
         inner_end, ((left, _), _) = -config.region.cutouts[0].inner, config.start_rectangle
         if config.allow_infeasible_init or left < inner_end or least < 1:
@@ -68,7 +68,7 @@ class Circle2DView:
         return np.where(np.array(self.places(positions)) == "corridor", words, "").tolist()
 
     def background(self, size: int) -> Picture:
-        """Paint the cost region grey, with a dark rim where it is rigid, the start area green, and
+        """Paint the cost region grey, with a dark rim if it is rigid, the start area green, and
         circles of equal reward every R/4 (in wide arenas R/2, R, ...): [size, size, 3]."""
         from PIL import Image
 
@@ -87,7 +87,7 @@ class Circle2DView:
         if not config.infeasible_region_penetratable:
             image[inside & ~canvas.eroded(inside, max(fine // 160, 1))] = WALL
         ring = config.constraint_radius / 4
-        while ring * size < 16 * config.arena:  # closer than 8 pixels they would be one shade
+        while ring * size < 16 * config.arena:  # circles closer than 8 pixels would merge
             ring *= 2
         distance = np.hypot(x - config.optima_perturbation[0], y - config.optima_perturbation[1])
         line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
@@ -104,7 +104,7 @@ class Circle2DView:
         return canvas.with_cross(outlined, self.extent, self.config.optima_perturbation)
 
 
-@lru_cache(maxsize=1)  # the pictures of a film have it in common
+@lru_cache(maxsize=1)  # the same for all pictures of a film
 def _region(config: Circle2DConfig, size: int) -> NDArray[np.bool_]:
     """Test whether the pixels of a picture `FINER` times as large lie in the cost region."""
     from circle2d_mj.render import canvas

@@ -136,7 +136,7 @@ def test_a_scene_of_ones_own(tmp_path):
         ('geom name="floor"', 'geom name="ground"', 'needs a geom "floor"'),
         ("<inertial", '<joint name="z" type="slide"/><inertial', "two joints of all"),
         ('<default class="region">', '<default class="other">', 'default class "region"'),
-        ('geom name="floor"', 'geom name="region0"', r'"floor".*no region.*begin with a copy of'),
+        ('geom name="floor"', 'geom name="region0"', r'"floor".*no region.*start from a copy of'),
     ],
 )
 def test_a_scene_that_lacks_something_is_refused(old, new, words, tmp_path):
