@@ -1,7 +1,7 @@
-"""Pictures of positions: background, heat, trajectories, outlines. Needs no OpenGL.
+"""Pictures of positions: background, heat maps, trajectories, outlines. Needs no OpenGL.
 
-Pictures are [size, size, 3] uint8 of an extent (left, right, bottom, top), in the unit of the
-positions they show: x to the right and y upwards.
+Pictures are [size, size, 3] uint8 and show an extent (left, right, bottom, top), in the unit of
+the positions: x points to the right and y upwards.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ HEAT = (
     (72, 24, 106), (68, 1, 84),
 )
 # fmt: on
-"""Colours from one visit to the most, in equal steps of the visits' logarithm: matplotlib's viridis
-from its light end to its dark one, so that more visits are darker, in grey and for the colour-blind
-too"""
+"""Colours of heat maps from one visit to the most, in equal steps of log visits: matplotlib's
+viridis from light to dark. More visits are darker, also in greyscale and for colour-blind readers.
+"""
 QUANTILE = 0.99
-"""Share of the visited cells that the scale of the heat covers: see `most_visits`"""
+"""Share of the visited cells that the scale of a heat map covers: see `most_visits`."""
 FINER = 2
-"""Factor by which shapes are painted larger and averaged, so that their edges are smooth"""
+"""Factor by which shapes are painted larger and then averaged, so that their edges are smooth."""
 
 
 def points_of_pixels(extent: Extent, size: int) -> NDArray[np.float64]:
@@ -44,7 +44,7 @@ def points_of_pixels(extent: Extent, size: int) -> NDArray[np.float64]:
 def pixels(extent: Extent, points: ArrayLike, size: int) -> NDArray[np.float64]:
     """Return column and row of points in a picture: [..., 2] positions -> [..., 2].
 
-    Raises ValueError for another shape.
+    Raises ValueError for any other shape.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-1:] != (2,):
@@ -54,17 +54,18 @@ def pixels(extent: Extent, points: ArrayLike, size: int) -> NDArray[np.float64]:
 
 
 def most_visits(counts: Sequence[NDArray[np.int64]], quantile: float = QUANTILE) -> int:
-    """Return the number of visits for the darkest colour of heat maps on one scale; at least 1.
+    """Return the visits, at least 1, that get the darkest colour in heat maps with a common scale.
 
-    counts: of each map, see `core.view.histogram`. The `quantile` of the counts of all visited
-    cells: a few cells above it, as where agents wait for an episode's end, would flatten the scale.
+    counts: the counts of each map, see `core.view.histogram`. The result is the `quantile` of the
+    counts of all visited cells, since a few higher counts, such as where agents wait for the end of
+    an episode, would flatten the scale.
     """
     visited = np.concatenate([np.zeros(0, dtype=np.int64), *(c[c > 0] for c in counts)])
     return int(np.quantile(visited, quantile, method="higher")) if len(visited) else 1
 
 
 def heat_colours(share: NDArray[np.float64]) -> Picture:
-    """Return the colours of shares between 0 (one visit) and 1 (the most): [...] -> [..., 3]."""
+    """Return the colours of shares from 0 (one visit) to 1 (most visits): [...] -> [..., 3]."""
     place = share * (len(HEAT) - 1)
     stops = np.array(HEAT, dtype=np.float64)
     channels = [np.interp(place, np.arange(len(HEAT)), stops[:, k]) for k in range(3)]
@@ -72,7 +73,7 @@ def heat_colours(share: NDArray[np.float64]) -> Picture:
 
 
 def heat_share(counts: NDArray[np.int64], most: int) -> NDArray[np.float64]:
-    """Return the places of visits on the scale of heat, by their logarithm: [...] -> [...].
+    """Return the places of visits on the logarithmic scale of a heat map: [...] -> [...].
 
     most: see `with_counts`.
     """
@@ -82,8 +83,8 @@ def heat_share(counts: NDArray[np.int64], most: int) -> NDArray[np.float64]:
 def with_counts(picture: Picture, counts: NDArray[np.int64], most: int) -> Picture:
     """Colour the visited cells of a picture by their number of visits.
 
-    counts: [cells, cells], see `core.view.histogram`; most: visits that get the darkest colour, as
-    do more than that; pictures that are to be compared have it in common. See `most_visits`.
+    counts: [cells, cells], see `core.view.histogram`; most: this many visits or more get the
+    darkest colour; use the same number in pictures that are compared. See `most_visits`.
     """
     cell = ((np.arange(len(picture)) + 0.5) * len(counts) / len(picture)).astype(np.intp)
     colours = heat_colours(heat_share(counts, most))[cell[:, None], cell]
@@ -98,12 +99,12 @@ def with_trajectories(
     boxed: bool = True,
 ) -> Picture:
     """Draw trajectories on a picture: a blue dot for each state, and an orange box around each
-    chain of consecutive cost steps.
+    streak of cost steps.
 
-    paths: [T + 1, 2] each, the start first; costs: [T] each, those of the steps; boxed=False: mark
-    the states that cost as orange dots instead, since boxes of many trajectories overlap. Source:
-    the figure of two trajectories with equal costs. Raises ValueError where paths and costs do not
-    fit together or are not finite.
+    paths: [T + 1, 2] each, the start first; costs: [T] each, of the steps; boxed=False: mark the
+    states that cost as orange dots instead, since boxes of many trajectories overlap. Source: the
+    figure of two trajectories with equal costs. Raises ValueError if paths and costs do not fit
+    together or are not finite.
     """
     if len(paths) != len(costs):
         raise ValueError(f"{len(paths)} paths need as many rows of costs, got {len(costs)}")
@@ -128,7 +129,7 @@ def with_trajectories(
             draw.ellipse(corners, fill=BOX if orange else DOT)
     for at, of_path in zip(lines, costs, strict=True) if boxed else ():
         for first, last in chains(of_path):
-            # A step's cost is that of the state it ends in.
+            # A step's cost belongs to the state that the step ends in.
             low, high = at[first + 1 : last + 2].min(axis=0), at[first + 1 : last + 2].max(axis=0)
             corners = (*(low - 2.2 * dot), *(high + 2.2 * dot))
             draw.rectangle(corners, outline=BOX, width=3 * line)
@@ -136,7 +137,7 @@ def with_trajectories(
 
 
 def chains(costs: ArrayLike) -> list[tuple[int, int]]:
-    """Return first and last step of each chain of steps with a cost above 0. costs: [T]."""
+    """Return first and last step of each streak of steps with a cost above 0. costs: [T]."""
     unsafe = np.concatenate(([False], np.asarray(costs) > 0, [False])).astype(np.int8)
     changes = np.diff(unsafe)
     first, after = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1)
@@ -144,9 +145,9 @@ def chains(costs: ArrayLike) -> list[tuple[int, int]]:
 
 
 def with_outline(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
-    """Draw a dark line along the edge of an area, inside it, between two light ones.
+    """Draw a dark line along the edge of an area, inside the area, between two light lines.
 
-    inside: whether each pixel lies in the area, of a picture `FINER` times as large.
+    inside: mask of the area's pixels, in a picture `FINER` times as large.
     """
     width, outlined = max(len(inside) // 800, 1), picture.copy()
     light = ~(eroded(inside, 4 * width) | eroded(~inside, width))
@@ -197,7 +198,7 @@ def with_ticks(
 ) -> Picture:
     """Draw numbers and names of axes along the lower and left edge of a picture.
 
-    ticks: the numbers on either axis.
+    ticks: the numbers on each axis.
     """
     image, size = Image.fromarray(picture), len(picture)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(size / 26)
@@ -211,7 +212,7 @@ def with_ticks(
         draw.text((column, size - 1.2 * margin), f"{x:g}", anchor="md", **style)
     for y, row in zip(up, rows.tolist(), strict=True):
         draw.line((0, row, margin, row), fill=INK, width=max(size // 320, 1))
-        # Above its tick, which is no minus sign there, nor struck through by a region's edge.
+        # Above its tick, so that the tick does not look like a minus sign.
         draw.text((1.2 * margin, row), f"{y:g}", anchor="ld", **style)
     draw.text((size - margin, size - 5 * margin), axes[0], anchor="rd", **style)
     draw.text((margin, margin), axes[1], anchor="la", **style)

@@ -1,4 +1,4 @@
-"""Figures made of pictures, with titles and the scale of the heat."""
+"""Figures made of pictures, with titles and the scale of heat maps."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ def figure(
     captions: Sequence[Sequence[str]] = (),
     most_visits: int | None = None,
 ) -> Picture:
-    """Arrange pictures of one size in rows: [height, width, 3] uint8.
+    """Arrange pictures of equal size in rows: [height, width, 3] uint8.
 
-    None leaves a gap. columns: a title above each column; title: one above all; row_titles: one
-    left of each row, of one line or more; captions: a line below each picture; most_visits: explain
-    the colours of heat maps at the bottom, the darkest of which stands for as many or more.
+    None leaves a gap. columns: title of each column; title: title of the figure; row_titles: title
+    of each row, on its left, with one line or more; captions: a line below each picture;
+    most_visits: draw the scale of heat maps at the bottom; the darkest colour stands for this many
+    visits or more.
     """
     size = next(len(picture) for row in rows for picture in row if picture is not None)
     text, small = _font(size, 17), _font(size, 20)
-    # Titles of columns are no wider than their pictures; small type is wider than it scales.
+    # Column titles must not be wider than pictures. 0.95: small type is wider than in proportion.
     too_wide = max(1.0, max((_width(text, t) / (0.95 * size) for t in columns), default=1.0))
     gap = size // 24
     left = gap + (max((_width(text, t) for t in row_titles), default=-gap) + gap)
@@ -68,10 +69,10 @@ def _draw_scale(
     gap: int,
     most_visits: int,
 ) -> None:
-    """Draw the scale of the heat at the bottom, in the middle of the figure's width."""
+    """Draw the scale of heat maps at the bottom of the figure, horizontally centred."""
     length, height = min(image.width // 3, 12 * gap), gap * 3 // 4
     words = ("1 visit", f"{most_visits:,} visits and more (logarithmic)")
-    # The words on the right are longer: bar and words together are in the middle.
+    # Centre the bar and its words together; the words on the right are longer.
     aside = (_width(font, words[1]) - _width(font, words[0])) // 2
     left, top = (image.width - length) // 2 - aside, image.height - 2 * gap
     colours = heat_colours(np.linspace(0.0, 1.0, length))

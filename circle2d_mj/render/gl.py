@@ -1,7 +1,7 @@
-"""MuJoCo's pictures, off-screen by EGL or OSMesa, and its window.
+"""MuJoCo's pictures, drawn off-screen with EGL or OSMesa, and its window.
 
-MuJoCo chooses a backend when it is imported, and fails there if the one that is named is missing.
-Here the backend is chosen when the first picture is drawn.
+MuJoCo chooses a backend on import, which fails if the backend that MUJOCO_GL names is missing. Here
+the backend is chosen when the first picture is drawn.
 """
 
 # mujoco has no stubs for its enums.
@@ -29,16 +29,16 @@ from circle2d_mj.core.envs import render_modes
 
 VARIABLE = "MUJOCO_GL"
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
-"""Library of each backend, in the order in which they are tried"""
-# Other values that MuJoCo accepts.
+"""Library of each backend, in the order in which the backends are tried."""
+# Other values of MUJOCO_GL that MuJoCo accepts.
 _OFF = ("disable", "disabled", "off", "false", "0")
 _ON = ("", "enable", "enabled", "on", "true", "1", "glfw", "glx", "wgl", "cgl")
-# Set by MuJoCo to the backend that PyOpenGL, once imported, stays with.
+# MuJoCo sets this variable to the backend; PyOpenGL reads it only on its first import.
 _BOUND = "PYOPENGL_PLATFORM"
 HOW = (
     "drawing without a screen needs EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0) or "
-    f"OSMesa (apt-get install libosmesa6); {VARIABLE}=egl or {VARIABLE}=osmesa chooses one, and "
-    "unset takes the first that works"
+    f"OSMesa (apt-get install libosmesa6); {VARIABLE}=egl or {VARIABLE}=osmesa chooses one; if "
+    "the variable is unset, the first that works is used"
 )
 
 
@@ -47,26 +47,26 @@ class NoOpenGL(RuntimeError):
 
 
 def check_backend() -> None:
-    """Raise NoOpenGL where MUJOCO_GL names a backend that is missing or unknown, or none."""
+    """Raise NoOpenGL if MUJOCO_GL names a missing or unknown backend, or disables OpenGL."""
     named = os.environ.get(VARIABLE, "").lower().strip()
     if named in LIBRARIES:
         _load(named)
     elif named == "glfw" and "human" not in render_modes():
         raise NoOpenGL(f"{VARIABLE}=glfw needs a screen; {HOW}")
     elif named in _OFF:
-        raise NoOpenGL(f"{VARIABLE}={named} forbids it; {HOW}")
+        raise NoOpenGL(f"{VARIABLE}={named} disables drawing; {HOW}")
     elif named not in _ON:
-        raise NoOpenGL(f"{VARIABLE}={named!r} is none that MuJoCo knows; {HOW}")
+        raise NoOpenGL(f"{VARIABLE}={named!r} is no backend that MuJoCo knows; {HOW}")
 
 
 FREE_CAMERA = -1
-"""The id of MuJoCo's free camera, which looks at the middle of the model"""
+"""Id of MuJoCo's free camera, which looks at the centre of the model."""
 
 
 class Offscreen:
-    """A buffer that a model is drawn into.
+    """An off-screen buffer that a model is drawn into.
 
-    width and height of pictures in pixels; forces: draw those of contacts as arrows. Raises
+    width, height: size of the pictures in pixels; forces: draw contact forces as arrows. Raises
     NoOpenGL, and RuntimeError once closed.
     """
 
@@ -80,22 +80,23 @@ class Offscreen:
             with _current(context), _of_size(model, width, height):
                 self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
                 mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
-        except mujoco.FatalError as error:  # glfw without a screen gets as far as this
+        except mujoco.FatalError as error:  # GLFW without a screen fails only here
             raise NoOpenGL(f"{HOW}. MuJoCo says: {error}") from None
-        self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # the finer one
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)  # arrows of forces
+        self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # the more precise mapping
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)  # 100 for force arrows
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
         self._option.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._picture = np.empty((height, width, 3), dtype=np.uint8)
         self._free = weakref.finalize(self, _free, context, self._mjr)
-        # At exit too, but before MuJoCo releases EGL, as it registered just now: finalizers
-        # all run when the first of them was made, perhaps by another package long before.
+        # Free the buffer at exit too, but before MuJoCo releases EGL, for which it has registered
+        # by now. weakref would be too late: all its finalizers run at the place in atexit's order
+        # where the first was made, perhaps by another package long before.
         self._free.atexit = False
         atexit.register(self._free)
 
     def upload(self, texture: int, pixels: NDArray[np.uint8]) -> None:
-        """Replace a texture of the model by pixels, [height, width, 3]."""
+        """Replace the pixels of a texture of the model, [height, width, 3]."""
         self._check_open()
         start = self._model.tex_adr[texture]
         self._model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
@@ -103,18 +104,18 @@ class Offscreen:
             self._mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
 
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
-        """Draw the view of a camera, `FREE_CAMERA` or one of the model: [height, width, 3], its
-        first row on top."""
+        """Draw the view of a camera, `FREE_CAMERA` or a camera of the model: [height, width, 3],
+        the top row first."""
         self._render(data, camera)
         with _current(self._context):
             self._mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)
         return self._picture[::-1].copy()
 
     def depth(self, data: Any, camera: int) -> NDArray[np.float32]:
-        """Return how far along the camera's axis what it sees is, m: [height, width]; what is
-        beyond its reach, or where nothing is, is at the end of its reach."""
+        """Return the depth of each pixel along the camera's axis, m: [height, width]. It is the far
+        clipping distance where the camera sees nothing nearer."""
         flags = self._scene.flags
-        # As mujoco.Renderer does: without blending of what lies behind, depths are far finer.
+        # As in mujoco.Renderer: without blending, depths are far more precise.
         plain = self._mujoco.mjtRndFlag.mjRND_SEGMENT, self._mujoco.mjtRndFlag.mjRND_IDCOLOR
         for flag in plain:
             flags[flag] = True
@@ -124,8 +125,8 @@ class Offscreen:
         buffer = np.empty(self._picture.shape[:2], dtype=np.float32)
         with _current(self._context):
             self._mujoco.mjr_readPixels(None, buffer, self._rectangle, self._mjr)
-        # 1 at the near end, 0 at the far one; in between the inverse of the distance is linear,
-        # without perspective the distance itself.
+        # share is 1 at the near plane and 0 at the far plane. In between, the inverse of the
+        # distance is linear in it; for an orthographic camera the distance itself is.
         seen, share = self._scene.camera[0], buffer[::-1].astype(np.float64)
         near, far = float(seen.frustum_near), float(seen.frustum_far)
         if seen.orthographic:
@@ -146,7 +147,7 @@ class Offscreen:
             mujoco.mjr_render(self._rectangle, self._scene, self._mjr)
 
     def close(self) -> None:
-        """Free what is held on the graphics side."""
+        """Free the OpenGL context and its memory."""
         self._free()
         atexit.unregister(self._free)
 
@@ -157,8 +158,8 @@ class Offscreen:
 
 @contextlib.contextmanager
 def _of_size(model: Any, width: int, height: int) -> Iterator[None]:
-    """Let a context made of the model have a buffer of the size, and round bodies no finer than it
-    shows: in small pictures their corners would take most of the time."""
+    """Set the buffer size that a context gets from the model, and reduce the facets of round bodies
+    to what this size can show: in small pictures they would take most of the time."""
     buffer, quality = model.vis.global_, model.vis.quality
     before = buffer.offwidth, buffer.offheight, quality.numslices, quality.numstacks
     slices = max(max(width, height) // 10, 16)
@@ -173,7 +174,7 @@ def _of_size(model: Any, width: int, height: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _current(context: Any) -> Iterator[None]:
-    """Make the context current; afterwards the previous one, where MuJoCo can (4.0)."""
+    """Make the context current, and afterwards the previous one if MuJoCo supports it (4.0)."""
     if hasattr(context, "as_current"):
         with context.as_current():
             yield
@@ -196,7 +197,7 @@ def _load(backend: str) -> None:
 
 
 def _gl_context(width: int, height: int) -> Any:
-    """Return a context of the backend that MUJOCO_GL names, else of the first that works."""
+    """Return a context of the backend that MUJOCO_GL names, else of the first one that works."""
     named = os.environ.get(VARIABLE, "").lower().strip()
     if platform.system() != "Linux" or named == "glfw":
         import mujoco
@@ -210,18 +211,18 @@ def _gl_context(width: int, height: int) -> Any:
             context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         except NoOpenGL:
             failures.append(f"{backend}: {LIBRARIES[backend]} is missing")
-        except Exception as error:  # whatever a driver may meet
+        except Exception as error:  # a driver may raise anything
             failures.append(f"{backend}: {error}")
             _unbind(modules, bound)
         else:
-            if failures:  # MuJoCo, looking for OpenGL's functions, would again begin with EGL
+            if failures:  # MuJoCo would again try EGL first when it looks up OpenGL's functions
                 os.environ[VARIABLE] = backend
             return context
     raise NoOpenGL(f"{HOW}. Tried {'; '.join(failures)}")
 
 
 def _unbind(modules: set[str], bound: str | None) -> None:
-    """Forget the OpenGL modules beyond `modules`: they are bound to a backend that failed."""
+    """Unload OpenGL modules that are not in `modules`: they are bound to the failed backend."""
     for name in set(sys.modules) - modules:
         if name.startswith(("OpenGL", "mujoco.egl", "mujoco.osmesa")):
             del sys.modules[name]
@@ -230,9 +231,9 @@ def _unbind(modules: set[str], bound: str | None) -> None:
 
 
 class Window:
-    """Shows states of a model in real time; opened when it is made.
+    """A window that shows states of a model in real time; the constructor opens it.
 
-    step_time: seconds that a step of the task takes.
+    step_time: seconds per environment step.
     """
 
     def __init__(self, model: Any, step_time: float) -> None:
@@ -246,7 +247,7 @@ class Window:
         self._shown = time.monotonic()
 
     def show(self, data: Any) -> None:
-        """Show a state with its derived quantities; returns when the step's time is over."""
+        """Show a state with its derived quantities; return when the step's time is over."""
         import mujoco
 
         with self._viewer.lock():
@@ -259,4 +260,4 @@ class Window:
         """Close the window."""
         self._viewer.close()
         for thread in self._threads:
-            thread.join(timeout=5.0)  # a program that ends before the thread does crashes
+            thread.join(timeout=5.0)  # if the program ended before the thread, it would crash

@@ -22,15 +22,15 @@ from circle2d_mj.render.gl import Offscreen, check_backend
 SIZE = 640
 CELLS = 160
 LEAST_BALL = 2.5
-"""Least radius of the agent in pixels: in a wide arena its body would be invisible"""
+"""Least radius of the agent in pixels; in a wide arena its body would be invisible."""
 
 
 class Renderer:
     """Draws a task: frames, trajectories, heat maps, each [size, size, 3] uint8.
 
     size: pixels along each side of the arena. The floor's picture is a texture of the scene; the
-    agent is its ball. A context manager; `close` frees its memory. Raises
-    `circle2d_mj.render.gl.NoOpenGL`, which says what to install, where nothing can be drawn.
+    agent is the scene's ball. It is a context manager; `close` frees its memory. Raises
+    `circle2d_mj.render.gl.NoOpenGL`, which says what to install, if nothing can be drawn.
     """
 
     def __init__(self, config: Circle2DConfig, size: int = SIZE) -> None:
@@ -52,7 +52,7 @@ class Renderer:
         """Draw the task with the agent at `position`, [2] world units, or without it.
 
         floor: picture to paint on the floor, [size, size, 3] uint8; by default the task's
-        background. Raises ValueError where either is something else.
+        background. Raises ValueError for a wrong position or picture.
         """
         from circle2d_mj.core.engine import mujoco
 
@@ -75,10 +75,10 @@ class Renderer:
         costs: Sequence[ArrayLike],
         agent: ArrayLike | None = None,
     ) -> Picture:
-        """Draw trajectories as blue dots, with orange boxes around chains of cost steps.
+        """Draw trajectories as blue dots, with orange boxes around streaks of cost steps.
 
-        paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
-        the agent, [2], if anywhere.
+        paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: position of
+        the agent, [2]; None: without the agent.
         """
         floor = canvas.with_trajectories(self._ground, self._view.extent, paths, costs)
         return self.frame(agent, self._view.overlay(floor))
@@ -86,8 +86,8 @@ class Renderer:
     def heatmap(self, positions: ArrayLike, cells: int = CELLS, most: int | None = None) -> Picture:
         """Draw a heat map of visited states: the more visits, the darker, on a log scale.
 
-        positions: [N, 2] world units; cells: along each side of the arena; most: the visits that
-        the darkest colour stands for, by default `canvas.most_visits`.
+        positions: [N, 2] world units; cells: number along each side of the arena; most: number of
+        visits with the darkest colour, by default `canvas.most_visits`.
         """
         cells = positive_integer("cells", cells)
         counts = histogram(self._view.extent, positions, cells)
@@ -119,8 +119,8 @@ def _checked(position: ArrayLike) -> NDArray[np.float64]:
 def _model(config: Circle2DConfig, size: int) -> Any:
     """Compile the base scene with a texture on its floor.
 
-    Lengths are in units of the arena's half-width, so that tasks too large, small or narrow for the
-    physics can be drawn too.
+    Lengths are in units of the arena's half-width, so that tasks that are too large, small or
+    narrow for the physics can be drawn as well.
     """
     from circle2d_mj.circle2d.physics_config import BASE, BASE_RADIUS
     from circle2d_mj.core.engine import mujoco
@@ -133,9 +133,9 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     floor.size = [1, 1, 0.1]
     spec.stat.extent, spec.stat.center = 2, [0, 0, 0]
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
-    # Flat light, so that the floor's colours stay as they are.
+    # Flat light keeps the floor's colours as they are.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
-    spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
+    spec.visual.quality.shadowsize = 0  # no shadows here, whose buffer would take 64 MB
     picture = spec.add_texture(name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D)
     picture.builtin, picture.width, picture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, size, size
     material = spec.add_material(name="floor")
