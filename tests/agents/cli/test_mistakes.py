@@ -82,7 +82,7 @@ def mistake(arguments, capsys):
         (["export", "{folder}", "--format", "pt"], "safetensors"),
         (["scene", "--task-parameters", "mass", "0"], "mass must be above 0"),
         (["scene", "Circle2D-1-v0"], "scene shows the tasks Circle2DMuJoCo-0-v0"),
-        ([*REPRODUCE, "--levels", "4"], "some of \\[0, 1, 2, 3\\], got \\[4\\]"),
+        ([*REPRODUCE, "--levels", "4"], "among \\[0, 1, 2, 3\\], got \\[4\\]"),
         ([*REPRODUCE, "--benchmark", "--safety"], "benchmark has tasks of its own"),
         ([*REPRODUCE, "--levels", "1", "--safety"], "give one of tasks, safety, and levels"),
         ([*REPRODUCE, "--algorithms"], "algorithms must be some of trpo-lag, .*, got none"),
