@@ -1,1 +1,1 @@
-"""Training of runs, and their files: folders, records, checkpoints, evaluations, policies."""
+"""Training of runs and their files: folders, records, checkpoints, evaluations, policies."""

@@ -1,4 +1,4 @@
-"""Callbacks of a training, epoch by epoch: status, progress, policies on the way, TensorBoard."""
+"""Callbacks after each epoch of a training: status, progress, kept policies, TensorBoard."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from agents.training.trainer import Trainer
 
 EVERY_SECONDS = 1.0
-"""Least time between two writes of a status."""
+"""Least time between two writes of the status."""
 
 
 @contextlib.contextmanager
 def usual(trainer: Trainer) -> Iterator[tuple[Callable[[Trainer], object], ...]]:
-    """The callbacks that a training's configuration asks for, and its status."""
+    """Yield the callbacks that the configuration asks for, and the one that writes the status."""
     with contextlib.ExitStack() as stack:
         chosen: list[Callable[[Trainer], object]] = [keep_policies(trainer)]
         if trainer.config.tensorboard:
@@ -40,28 +40,28 @@ def usual(trainer: Trainer) -> Iterator[tuple[Callable[[Trainer], object], ...]]
 
 @dataclass(frozen=True)
 class Epoch:
-    """An epoch of a training, for those who follow it: trackers, tuners, notebooks.
+    """An epoch of a training, for experiment trackers, tuners and notebooks.
 
-    `runs[seed]` has, for each run that took part, "step": environment steps taken; "return", the
-    costs by their names, such as "cost" (all undiscounted), and "length": means over the epoch's
-    episodes; "mcc": the greatest share of an episode in one streak of the first cost; then the mean
-    of each number that the algorithm's updates give, such as "critic_loss", where the run learned.
-    With several tasks it is `runs[task, seed]`.
+    For each run that took part, `runs[seed]` has "step": environment steps taken; means over the
+    epoch's episodes of "return", "length" and each cost by its name, such as "cost" (all
+    undiscounted); "mcc": the greatest share of an episode in one streak of the first cost; and, if
+    the run learned, the mean of each number that the algorithm's updates record, such as
+    "critic_loss". With several tasks the key is (task, seed).
     """
 
     folder: Path
     algorithm: str
     task: str
-    """The task; of several all, with spaces between them."""
+    """The task, or several, with spaces between them."""
     steps: int
-    """Environment steps that are asked of each run; whole epochs may take more."""
+    """Environment steps that each run is asked to take; whole epochs may take more."""
     runs: Mapping[Any, Mapping[str, float]]
     """Numbers by seed and name: see above."""
 
 
 def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], object]:
-    """The callback for a function of an `Epoch`. Where that raises, the epoch is saved: other
-    callbacks must come before."""
+    """Return the callback for a function of an `Epoch`. If the function raises, the epoch is saved
+    first; other callbacks must therefore come before this one."""
 
     def call(trainer: Trainer) -> object:
         config = trainer.config
@@ -87,9 +87,10 @@ def check_callback(on_epoch: object) -> None:
 
 
 def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
-    """Keep the policies of the runs that pass a multiple of `evaluate_every`, with an evaluation.
+    """Return a callback that keeps and evaluates policies at multiples of `evaluate_every`.
 
-    Each file depends on the state of the training alone: after a kill the same are written again.
+    Each file depends only on the state of the training: after a kill the same files are written
+    again.
     """
     before = trainer.steps.copy()
 
@@ -125,34 +126,33 @@ def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
 
 
 class Reading(NamedTuple):
-    """Progress of a training at one time."""
+    """Progress of a training at some time."""
 
     seconds: float
-    """Since the measuring began."""
+    """Seconds since the measurement began."""
     steps: int
-    """Environment steps of the run that has taken the fewest, those that failed apart."""
+    """Environment steps of the run that has taken the fewest, without failed runs."""
     share: float
-    """Done, in [0, 1]."""
+    """Share of the training that is done, in [0, 1]."""
     steps_per_second: float | None
-    """Environment steps of all runs a second, since the first epoch; None before the second."""
+    """Environment steps per second of all runs, since the first epoch; None before the second."""
     seconds_left: float | None
-    """None likewise."""
+    """Estimated seconds left; None before the second epoch."""
 
 
 class Meter:
-    """Measures a training after each of its epochs.
+    """Measures the progress of a training after each epoch.
 
-    The first epoch of a process is not counted in its speed, since it pays for what is done only
-    once.
+    The first epoch of a process is not counted in the speed: it includes what is done only once.
     """
 
     def __init__(self, steps: int) -> None:
-        """steps: of each run in all."""
+        """steps: environment steps of each run in total."""
         self._steps, self._started = steps, time.monotonic()
         self._first: tuple[float, int, float] | None = None
 
     def read(self, trainer: Trainer) -> Reading:
-        """Progress by now."""
+        """Return the current progress."""
         now, going = time.monotonic(), trainer.failures == ""
         steps = int(trainer.steps[going].min(initial=self._steps))
         share = min(1.0, steps / self._steps)
@@ -166,8 +166,8 @@ class Meter:
 
 
 def rounding(trainer: Trainer) -> str:
-    """A line on the steps that whole epochs take beyond those asked for; "" where they take none
-    more, or no time limit tells."""
+    """Return a line on the steps that whole epochs take beyond the steps asked for; "" if there are
+    none, or no time limit is known."""
     config, episodes = trainer.config, trainer.learner.episodes
     limits = [time_limit(task, config.task_parameters) for task in config.tasks]
     epochs = [episodes * limit for limit in limits if limit]
@@ -177,7 +177,7 @@ def rounding(trainer: Trainer) -> str:
     whole = f"{episodes} whole episode{'s' * (episodes > 1)}"
     return (
         f"{config.steps:,} steps are rounded up to {taken:,}: an epoch is {whole}, which take "
-        f"{max(epochs):,} steps where none ends early"
+        f"{max(epochs):,} steps if none ends early"
     )
 
 
@@ -185,8 +185,8 @@ def rounding(trainer: Trainer) -> str:
 def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     """Show steps, speed, recent returns and the time left of a training on stderr.
 
-    Yields the callback. A bar on a terminal; elsewhere a line for every tenth of the training. At
-    the end the time of the evaluation, which is in no speed.
+    Yields the callback. On a terminal it shows a bar, elsewhere a line for every tenth of the
+    training, and at the end the time of the evaluation, which no speed includes.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
@@ -229,8 +229,9 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
 
 
 class StatusFile:
-    """Keeps `status.json`: {"share": in [0, 1], "steps_per_second": a number or null, "sessions":
-    {"random id of a process": {"seconds": ..., "versions": ..., "machine": ...}}}."""
+    """Callback that writes `status.json`: {"share": in [0, 1], "steps_per_second": a number or
+    null, "sessions": {"random id of a process": {"seconds": ..., "versions": ..., "machine":
+    ...}}}."""
 
     def __init__(self, trainer: Trainer) -> None:
         self._trainer, self._path = trainer, trainer.folder / STATUS
@@ -239,7 +240,7 @@ class StatusFile:
         self._made_with = made_with()
 
     def __call__(self, trainer: Trainer) -> None:
-        """Write where that is due."""
+        """Write the status if it is due."""
         now = self._meter.read(trainer)
         if time.monotonic() - self._written >= EVERY_SECONDS or trainer.done:
             self._written = time.monotonic()
@@ -255,26 +256,26 @@ class StatusFile:
 
 
 def share_done(folder: AnyPath) -> float:
-    """Share of a training that is done, in [0, 1]; 0 where nothing says."""
+    """Return the share of a training that is done, in [0, 1]; 0 if it is unknown."""
     share = _status(folder).get("share")
     return float(share) if isinstance(share, (int, float)) and 0 <= share <= 1 else 0.0
 
 
 def speed(folder: AnyPath) -> float | None:
-    """Environment steps a second of a training, all runs together; None where nothing says."""
+    """Return the environment steps per second of all runs of a training; None if unknown."""
     value = _status(folder).get("steps_per_second")
     return float(value) if isinstance(value, (int, float)) else None
 
 
 def sessions(folder: AnyPath) -> dict[str, dict[str, Any]]:
-    """Seconds, versions and machine of each process that trained, by its random id; empty where
-    nothing says. The time of a killed process after its last write is not counted."""
+    """Return seconds, versions and machine of each process that trained, by its random id; empty if
+    unknown. The time of a killed process after its last write is not counted."""
     content = _status(folder).get("sessions")
     return content if isinstance(content, dict) else {}
 
 
 def other_session(folder: AnyPath) -> str:
-    """Words on other versions or another machine that trained so far; empty where they are ours."""
+    """Return a warning if other versions or another machine trained so far; "" if there is none."""
     now, before = made_with(), [*sessions(folder).values()]
     changed = [f"{k} {before[-1].get(k)}" for k in now if before and before[-1].get(k) != now[k]]
     if not changed:
@@ -283,7 +284,7 @@ def other_session(folder: AnyPath) -> str:
 
 
 def _status(folder: AnyPath) -> dict[str, Any]:
-    """Empty where the file is missing, damaged or cannot be read: no result depends on it."""
+    """Return the status; {} if the file cannot be read, since no result depends on it."""
     try:
         return read_json(folder / STATUS)
     except (UserError, OSError):
@@ -291,7 +292,7 @@ def _status(folder: AnyPath) -> dict[str, Any]:
 
 
 def duration(seconds: float) -> str:
-    """Seconds in words: 3 h 2 min, 5 min, 40 s."""
+    """Return seconds in words: 3 h 2 min, 5 min, 40 s."""
     minutes = round(seconds / 60)
     if seconds < 100:
         return f"{seconds:.0f} s"
@@ -299,10 +300,10 @@ def duration(seconds: float) -> str:
 
 
 class Events:
-    """TensorBoard event files, each run's in `tensorboard/RUN`.
+    """Callback that writes TensorBoard event files, for each run in `tensorboard/RUN`.
 
-    They hold times of day, unlike the other records. After a resume, the events that an interrupted
-    training had written beyond its checkpoint are marked as void.
+    Event files hold times of day, unlike other records. After a resume, the events that an
+    interrupted training had written after its checkpoint are marked as void.
     """
 
     def __init__(self, trainer: Trainer) -> None:
@@ -316,7 +317,7 @@ class Events:
         }
 
     def __call__(self, trainer: Trainer) -> None:
-        """Write the last epoch."""
+        """Write the numbers of the last epoch."""
         steps = dict(zip(trainer.config.runs, trainer.steps, strict=True))
         for run, numbers in trainer.recorder.latest.items():
             for name, value in numbers.items():

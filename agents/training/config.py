@@ -1,15 +1,15 @@
-"""The configuration of a training: written once into its folder, and read by everything after.
+"""The configuration of a training: written once into its folder, and read from there later.
 
 The folder of a training:
 
     config.json                 its configuration, never changed
     checkpoints/000050000.npz   the whole training state; the two newest stay
-    steps/000050000.npz         all that happened since the checkpoint before, run by run
+    steps/000050000.npz         the episodes since the previous checkpoint, run by run
     policies/RUN/000050000.npz  policies kept by `evaluate_every`
-    status.json                 progress and time; not a result
+    status.json                 progress and time; no result depends on it
     results.npz                 derived once, at the end: all that reports read
 
-A run is one task and one seed. Numbers of files are environment steps.
+A run has one task and one seed. The numbers of files are environment steps.
 """
 
 from __future__ import annotations
@@ -58,23 +58,23 @@ from agents.training.files import (
 CONFIG, STATUS, RESULTS = "config.json", "status.json", "results.npz"
 CHECKPOINTS, STEPS, POLICIES = "checkpoints", "steps", "policies"
 COUNTERS = ("epoch", "steps", "failures", "tracebacks")
-"""Arrays of a checkpoint beside the learner's state."""
+"""Names of a checkpoint's arrays that are not the learner's state."""
 ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of algorithms: see `agents.algorithms.register`."""
 NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
 RECORDED = ("versions", "machine", "commit", "spaces", "modules", "device")
-"""Entries of config.json that are no settings: what made the runs, and in version 0.3 where."""
+"""Entries of config.json that are no settings, but say how the runs were made."""
 
 
 class RunId(NamedTuple):
-    """A run of a training."""
+    """Identifies a run of a training."""
 
     task: str
     seed: int
 
     @property
     def prefix(self) -> str:
-        """Beginning of the names of its arrays: "Circle2D-1-v0/0/"."""
+        """Prefix of the names of the run's arrays, such as "Circle2D-1-v0/0/"."""
         return f"{file_name(self.task)}/{self.seed}/"
 
     def __str__(self) -> str:
@@ -82,18 +82,18 @@ class RunId(NamedTuple):
 
 
 def file_name(task: str) -> str:
-    """A task's id as a part of a path."""
+    """Return a task's id as a part of a path."""
     return re.sub(r"[/:]", "-", task)
 
 
 def finished(folder: AnyPath) -> bool:
-    """Whether all runs of a training have ended, also by a failure."""
+    """Whether all runs of a training have ended, be it by a failure."""
     return (folder / RESULTS).is_file()
 
 
 def as_stored(value: Any) -> Any:
-    """A parameter of a task as its file gives it back: tuples as lists. Raises UserError for what
-    that cannot hold, such as keys that are no strings."""
+    """Return a task parameter as JSON gives it back: tuples as lists. Raises UserError for what
+    JSON cannot hold, such as keys that are no strings."""
     if isinstance(value, dict):
         if other := [key for key in value if not isinstance(key, str)]:
             raise UserError(f"keys in task_parameters must be strings, got {other[0]!r}")
@@ -111,17 +111,17 @@ def is_of_policy(name: str) -> bool:
 
 
 def policy_path(folder: Path, run: RunId, step: int) -> Path:
-    """File of the policy of a run at a step."""
+    """Return the path of the policy of a run that was kept at a step."""
     return numbered_path(folder / POLICIES, run.prefix, step)
 
 
 class UnregisteredHyperparameters:
-    """Base of the hyper-parameters, read from a file, of an algorithm that is not registered."""
+    """Base of hyper-parameters read from a file whose algorithm is not registered."""
 
 
 @dataclass(frozen=True)
 class TrainConfig(Settings):
-    """A training: the runs of one algorithm on some tasks, each with some seeds."""
+    """A training: the runs of one algorithm, one for each task and seed."""
 
     algorithm: str
     tasks: tuple[str, ...]
@@ -129,32 +129,32 @@ class TrainConfig(Settings):
     steps: Annotated[int, In(1)] = presets.STEPS
     """Environment steps of each run; the episode that reaches them is finished."""
     hyperparameters: Any = None
-    """The algorithm's config; of an algorithm that is not registered, whose runs can only be
-    reported, a dataclass of the same fields."""
+    """The algorithm's config. For an algorithm that is not registered, whose runs can only be
+    reported, a dataclass with the same fields."""
     task_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Keyword arguments for `gymnasium.make`."""
     costs: tuple[str, ...] = ("cost",)
-    """Names in the tasks' infos of what is recorded as a cost; an algorithm limits the first, or as
+    """Names, in the tasks' infos, of the costs to record. The algorithm limits the first, or as
     many as its rule says."""
     checkpoint_every: Annotated[int, In(1)] = 50_000
-    """Environment steps of a run between checkpoints, at least: writing them takes 2 % of the time
-    at most."""
+    """Least number of environment steps of a run between checkpoints, which may be more: writing
+    takes at most 2 % of the time."""
     evaluate_every: Annotated[int, In(1)] | None = None
-    """Environment steps of a run between evaluations, which keep the policy too; None: never."""
+    """Environment steps of a run between evaluations, which also keep the policy; None: never."""
     evaluation_episodes: Annotated[int, In(1, 1_000_000)] = 100
-    """Episodes that a run's policy is evaluated by at the end, without its noise and with it."""
+    """Episodes of a run's final evaluation, as many without the policy's noise as with it."""
     vectorization: Vectorization = "auto"
     """How environments run side by side: see `make_envs`."""
     step_timeout: Annotated[float, In(above=0, high=86_400)] | None = None
-    """Seconds that a step of environments in processes of their own may take; None: any."""
+    """Seconds that a step of environments in separate processes may take; None: any number."""
     tensorboard: bool = False
-    """Whether to write TensorBoard event files too."""
+    """Whether to write TensorBoard event files as well."""
     backend: Backend = "c++"
-    """How networks are computed. Results differ in their last bits, and so, in the end, in where
-    chaos leads."""
+    """How networks are computed. Backends differ in the last bits of their numbers; as training is
+    chaotic, results come to differ too."""
 
     def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
+        """Check the values. Raises UserError naming one that is not allowed."""
         super().__post_init__()
         if not isinstance(self.algorithm, str) or not ALGORITHM.fullmatch(self.algorithm):
             raise UserError(f"algorithm must be a name such as sac-lag, got {self.algorithm!r}")
@@ -163,7 +163,7 @@ class TrainConfig(Settings):
             if not isinstance(values, tuple) or any(type(value) is not kind for value in values):
                 raise UserError(f"{name} must be a tuple of {kind.__name__}, got {values!r}")
             if not values or len(set(values)) < len(values):
-                raise UserError(f"{name} must be different, at least one, got {values}")
+                raise UserError(f"{name} must be one or more different values, got {values}")
         if min(self.seeds) < 0:
             raise UserError(f"seeds must be in [0, {MOST}], got {self.seeds}")
         if not isinstance(self.task_parameters, dict):
@@ -197,8 +197,8 @@ class TrainConfig(Settings):
         return tuple(name for name in self.costs if name not in self._added)
 
     def wrap(self, env: Any, task: str) -> Any:
-        """An Env or a VectorEnv, which need not reset itself, as the policies of a task see it.
-        Raises UserError where a built-in algorithm cannot add to its observations."""
+        """Return an Env or a VectorEnv of a task as policies see it; it need not reset itself.
+        Raises UserError if a built-in algorithm cannot add to its observations."""
         if not hasattr(self.hyperparameters, "wrap"):
             return env
         limit = time_limit(task, self.task_parameters)
@@ -211,23 +211,23 @@ class TrainConfig(Settings):
 
     @property
     def runs(self) -> list[RunId]:
-        """The runs, a task after the other."""
+        """The runs, task by task."""
         return [RunId(task, seed) for task in self.tasks for seed in self.seeds]
 
     @property
     def stream_seeds(self) -> list[int]:
-        """Seeds of the random streams of each run: they depend on its seed and its task."""
+        """Seed of each run's random streams, from the seed and the task of the run."""
         return [stream_seed(run.seed, run.task) for run in self.runs]
 
     @property
     def most_steps(self) -> int:
-        """Steps after which an episode of a task counts as one that never ends."""
+        """Steps after which an episode is taken to never end."""
         return most_steps(*(time_limit(task, self.task_parameters) for task in self.tasks))
 
     @property
     def _limit_names(self) -> dict[int, str]:
-        """The hyper-parameters that limit a cost, by its number; of an algorithm that is not
-        registered, or without a rule of the package's families, `cost_limit`."""
+        """Name of the hyper-parameter that limits each cost, by the index of the cost; `cost_limit`
+        for an algorithm that is not registered, or whose rule declares no limits."""
         rule = ALGORITHMS[self.algorithm].rule if self.algorithm in ALGORITHMS else None
         if hasattr(rule, "limits"):
             from agents.lockstep import lagrange  # torch, which the rule has imported
@@ -244,12 +244,13 @@ class TrainConfig(Settings):
 
     @property
     def learned(self) -> Any:
-        """The hyper-parameters that the learner gets: with `limit_of` episode, limits of an
-        episode's cost become limits of its discounted cost, by the mean discount of a step, which
-        is their ratio where all steps cost the same; that of the longest streak stays. Raises
-        UserError where the tasks have no time limit, or different ones."""
+        """The hyper-parameters that the learner gets. With `limit_of` episode, limits of an
+        episode's cost become limits of its discounted cost: they are multiplied by the mean
+        discount of a step, the ratio of both costs if all steps cost the same. The limit of the
+        longest streak stays. Raises UserError if the tasks have no time limit, or different
+        ones."""
         given = self.hyperparameters
-        of_episodes = getattr(given, "multiplier_of", "") == "episode"  # they are compared as given
+        of_episodes = getattr(given, "multiplier_of", "") == "episode"  # limits stay as given
         if getattr(given, "limit_of", "") != "episode" or of_episodes:
             return given
         limits = {task: time_limit(task, self.task_parameters) for task in self.tasks}
@@ -257,23 +258,23 @@ class TrainConfig(Settings):
         if steps is None or others:
             raise UserError(
                 f"limit_of episode needs tasks with one time limit, got {limits}; limit_of "
-                "discounted takes any, and a limit of the discounted cost"
+                "discounted takes any tasks: cost_limit is then that of the discounted cost"
             )
         mean = sum(given.discount**k for k in range(steps)) / steps
-        # That of the longest streak has no multiplier that follows a discounted cost.
+        # No multiplier of the longest streak follows a discounted cost.
         names = {*self._limit_names.values()} - {"streak_limit"}
         return dataclasses.replace(given, **{name: mean * getattr(given, name) for name in names})
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Flat dict; hyper-parameters under `hyperparameters.NAME`."""
+        """The settings as a flat dict; hyper-parameters have the keys `hyperparameters.NAME`."""
         content = dataclasses.asdict(self)
         hyperparameters = content.pop("hyperparameters")
         return content | {f"hyperparameters.{k}": value for k, value in hyperparameters.items()}
 
     def checked(self) -> Spaces:
-        """Spaces of the tasks. Raises UserError where a task cannot be made, where tasks do not fit
-        together, or the algorithm them, and where the runs need more than the machine's memory."""
+        """Return the spaces of the tasks. Raises UserError if a task cannot be made, if tasks do
+        not fit together or do not fit the algorithm, or if the runs need too much memory."""
         spaces = spaces_of(self.tasks, self.task_parameters, self.wrap)
         _check_memory(self.learned, len(self.runs), self.steps, spaces.sizes)
         scale = getattr(self.hyperparameters, "input_scale", 1.0)
@@ -285,9 +286,9 @@ class TrainConfig(Settings):
         return spaces
 
     def write(self, folder: Path, spaces: Spaces | None = None) -> Spaces:
-        """Make the folder of the training; spaces: of `checked`, where it was called before.
+        """Make the folder of the training; spaces: what `checked` returned, if called before.
 
-        Raises UserError where there is one already, and as `checked`.
+        Raises UserError if the folder holds runs already, and as `checked`.
         """
         check_folder(folder)
         _require_none(folder)
@@ -304,7 +305,7 @@ class TrainConfig(Settings):
         folder.mkdir(parents=True, exist_ok=True)
         try:
             with locked(folder):
-                _require_none(folder)  # now that no other process can make it
+                _require_none(folder)  # again, now that no other process can make it
                 write_json(folder / CONFIG, content)
         except NoLocks:
             if not there:
@@ -314,19 +315,20 @@ class TrainConfig(Settings):
 
     @classmethod
     def read(cls, folder: AnyPath, strict: bool = True) -> TrainConfig:
-        """The configuration of a folder: see `parse`. Raises UserError where there is none, naming
-        folders of runs below."""
+        """Read the configuration of a folder: see `parse`. Raises UserError, naming folders of runs
+        below, if there is none."""
         if not (folder / CONFIG).is_file():
             raise UserError(_no_runs(folder))
         return cls.parse(read_json(folder / CONFIG), folder, strict)
 
     @classmethod
     def parse(cls, content: Mapping[str, Any], folder: object, strict: bool = True) -> TrainConfig:
-        """The configuration that a `config.json` holds.
+        """Return the configuration that a `config.json` holds.
 
-        folder: of the file, for errors. strict: require that the algorithm is registered; otherwise
-        the hyper-parameters of one that is not are a plain frozen dataclass of the file's values,
-        so that a report imports nothing. Raises UserError where the content is damaged.
+        folder: that of the file, for errors. strict: require that the algorithm is registered;
+        otherwise an algorithm that is not has a plain frozen dataclass of the file's values as
+        hyper-parameters, so that a report imports nothing. Raises UserError if the content is
+        damaged.
         """
         if "task" in content:
             raise UserError(f"{folder} is of version 0.2, whose folders this version does not read")
@@ -349,7 +351,7 @@ class TrainConfig(Settings):
 
 
 def read_spaces(folder: AnyPath) -> Spaces:
-    """Spaces of the tasks of a folder, as they were when it was made. UserError where damaged."""
+    """Read the spaces that a folder's tasks had when it was made. Raises UserError if damaged."""
     content: Any = read_json(folder / CONFIG).get("spaces")
     try:
         low, high = (tuple(map(float, content[name])) for name in ("low", "high"))
@@ -362,7 +364,7 @@ def read_spaces(folder: AnyPath) -> Spaces:
 
 
 def _no_runs(folder: AnyPath) -> str:
-    """Words for a folder that holds no runs."""
+    """Return the message for a folder that holds no runs."""
     if isinstance(folder, Path) and archive_of(folder):
         return f"{folder} is no folder: report, compare and load_runs alone read archives"
     if not folder.is_dir():
@@ -391,13 +393,13 @@ def _require_none(folder: Path) -> None:
 
 
 def _of(kind: type, values: dict[str, Any]) -> Any:
-    """Hyper-parameters of a class from those that a folder holds.
+    """Return hyper-parameters of a class from the values that a folder holds.
 
-    One that it lacks is newer than its runs, and gets the default of the class that introduced it,
-    which leaves training as it was; a subclass may have another default.
+    A hyper-parameter that the folder lacks is newer than its runs. It gets the default of the class
+    that introduced it, which leaves training as it was; a subclass may have another default.
     """
     missing = {field.name for field in dataclasses.fields(kind)} - values.keys()
-    for base in filter(dataclasses.is_dataclass, kind.__mro__):  # the last is the first to have it
+    for base in filter(dataclasses.is_dataclass, kind.__mro__):  # the last introduced it
         defaults = {field.name: field.default for field in dataclasses.fields(base)}
         known = {name: defaults[name] for name in missing & defaults.keys()}
         values |= {k: v for k, v in known.items() if v is not dataclasses.MISSING}
@@ -405,7 +407,7 @@ def _of(kind: type, values: dict[str, Any]) -> Any:
 
 
 def _plain(hyperparameters: dict[str, Any]) -> UnregisteredHyperparameters:
-    """A frozen dataclass of values by name."""
+    """Return a frozen dataclass of values by name."""
     fields = [(name, Any) for name in hyperparameters]
     bases = (UnregisteredHyperparameters,)
     return make_dataclass("Hyperparameters", fields, bases=bases, frozen=True)(**hyperparameters)
@@ -416,49 +418,48 @@ def _tuples(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_memory(hyperparameters: Any, runs: int, steps: int, sizes: tuple[int, int]) -> None:
-    """Raise UserError where replay and networks need more than the machine's memory, by a rough
-    estimate.
+    """Raise UserError if replay buffers and networks need more than the machine's memory.
 
-    steps: of each run, which fill no more of a replay; sizes: numbers that an observation and an
-    action hold.
+    This is a rough estimate. steps: environment steps of each run, an upper bound of its
+    transitions; sizes: numbers in an observation and in an action.
     """
     observation, action = sizes
     capacity = min(getattr(hyperparameters, "replay_size", 0), steps)
     widths = (observation + action, *getattr(hyperparameters, "hidden", ()), 2 * action)
     network = sum((a + 1) * b for a, b in pairwise(widths))
-    numbers = capacity * (2 * observation + action + 3) + 5 * 4 * network  # five, with four copies
+    numbers = capacity * (2 * observation + action + 3) + 5 * 4 * network  # 5 networks, 4 copies
     needed, there = 4 * runs * numbers, machine_memory()
     if needed > there:
         raise UserError(
             f"replay_size and hidden need about {needed / 1e9:,.1f} GB of memory for {runs} runs; "
             f"this machine has {there / 1e9:,.1f} GB"
         )
-    size = getattr(hyperparameters, "replay_size", 0)  # whose memory is asked for at once
+    size = getattr(hyperparameters, "replay_size", 0)  # it is allocated at once
     try:
         np.empty((runs, size, 2 * observation + action + 3), dtype=np.float32)
     except (MemoryError, ValueError):
         raise UserError(
-            f"replay_size {size} cannot be allocated for {runs} runs, and they take {steps} steps: "
-            "more than these are never used"
+            f"replay_size {size} cannot be allocated for {runs} runs: give at most {steps}, the "
+            "steps of a run; more is never used"
         ) from None
 
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 CPUINFO = Path("/proc/cpuinfo")
 LARGEST = 2**40
-"""Bytes of memory where the system does not tell them."""
+"""Bytes of memory to assume if the system does not tell."""
 
 
 def made_with() -> dict[str, Any]:
-    """Versions and machine of this process, without times."""
+    """Return the versions and the machine of this process, without times."""
     versions = {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
     machine = {"processor": _processor(), "cores": os.cpu_count() or 1}
     return {"versions": versions, "machine": machine}
 
 
 def commit() -> str | None:
-    """Commit of this code, "-dirty" behind it where files are changed: that of the checkout it lies
-    in, or that pip installed it from; None for an installation from anything else."""
+    """Return the commit of the checkout that this code lies in, with "-dirty" if files are changed,
+    or the commit that pip installed it from; None if there is neither."""
     root = Path(__file__).parents[2]
     if (root / ".git").exists():
         git = ("git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40")
@@ -474,7 +475,7 @@ def commit() -> str | None:
 
 
 def machine_memory() -> int:
-    """Bytes of the machine's memory."""
+    """Return the bytes of the machine's memory."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):  # not on Windows
@@ -482,7 +483,7 @@ def machine_memory() -> int:
 
 
 def _processor() -> str:
-    """The name that Linux gives, or else the platform's."""
+    """Return the processor's name from Linux, or else from `platform`."""
     try:
         lines = CPUINFO.read_text(errors="replace").splitlines()
     except OSError:
