@@ -1,25 +1,24 @@
 """`results.npz`: all that reports read of a training, derived once from its steps.
 
-Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`):
+Arrays of a run, whose names begin with its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`):
 
 - `rollouts` [rollouts]: episodes in each; `length` and `return` [episodes]
 - `costs/NAME/steps`, `/unsafe` and, unless every cost is 1, `/values`: see `pack_costs`
-- `info/NAME/...`: numbers of each step that the task has recorded, packed as the costs are, values
-  to five digits
-- `updates` [epochs, metrics], whose names are the array `metrics` of the file
-- `failure`: why the run failed, `evaluation_failure`: why its evaluation did; of none that did
-  not. `traceback`: of the error of the task, where it was one
-- `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
-  and `/ways`, where its episodes end and how they came there, where the task names them
-- `trained/states`, `/positions` and `/unsafe`, a bit each: of the first evaluated episodes of a
-  task with a view the states that are drawn, see `Drawn`
+- `info/NAME/...`: recorded numbers of each step, packed like costs, values to five digits
+- `updates` [epochs, metrics]; the file's array `metrics` has the names of the metrics
+- `failure`, `evaluation_failure`: why the run or its evaluation failed, if it did; `traceback`: of
+  the task's error, if it was one
+- `evaluation/POLICY/returns`, `/costs` and `/lengths`; for the deterministic policy also `/places`
+  and `/ways`, where episodes end and how they got there, if the task names them
+- `trained/states`, `/positions` and `/unsafe`, a bit each: the drawn states (see `Drawn`) of the
+  first evaluated episodes, if the task has a view
 - `replay/drawn`, as `path_digits`, `/unsafe`, a bit for each step, and `/box`: see
-  `results.groups.Highlights`; `/steps`: those that its windows divide
+  `results.groups.Highlights`; `/steps`: environment steps that are divided into windows
 
 An archive has a row for each episode instead: `results.archive`.
 
-Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`;
-`info` [numbers, 2], names and units of what it has recorded.
+Arrays of a task, whose names begin with "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited`
+[3, 3], see `Visits`; `info` [numbers, 2], names and units of the recorded numbers.
 """
 
 from __future__ import annotations
@@ -45,32 +44,32 @@ from emcc.parts import ALPHA, PARTS, rollouts_by_part
 from emcc.records import digits, of_digits, records_of
 
 CELLS = 80
-"""Cells along each side of a report's heat map, of four pixels or so."""
+"""Cells along each side of a report's heat map, each of about four pixels."""
 WINDOWS = 60
-"""Windows of the replay, equal parts of training."""
+"""Number of windows, equal parts of training, in a page's replay."""
 STATES = 128
-"""States of an episode, about, that a page draws: of a longer one every second, third, ... one."""
+"""About how many states of an episode a page draws; of a longer one every second, third, ..."""
 BITS = 10
 """Bits of a coordinate of the replay's grid."""
 NEAR = 128
-"""Added to ways between points that follow each other, so that short ones are not below 0."""
+"""Added to the differences of consecutive points, so that small ones are not negative."""
 ROUNDED = 0.01
-"""Share by which totals of steps may differ and count as equal."""
+"""Relative difference up to which total steps count as equal."""
 DRAWN_POLICIES = 5
-"""Runs of a task, the first ones, whose trained policies a report draws."""
+"""Number of a task's first runs whose trained policies a report draws."""
 
 
 class Visits(NamedTuple):
-    """States that the agents of some runs visited in a part of their training."""
+    """States that the agents of some runs visited in a part of training."""
 
     counts: NDArray[np.int64]
     """Visits of each cell, [cells, cells], the top row first."""
     emcc: float
-    """Mean over the runs."""
+    """EMCC of that part, mean over the runs."""
     rollouts: int
-    """Rollouts that are counted."""
+    """Number of rollouts that are counted."""
     of: int
-    """All rollouts of the part."""
+    """Number of all rollouts in the part."""
 
 
 class Drawn(NamedTuple):
@@ -79,31 +78,31 @@ class Drawn(NamedTuple):
     positions: NDArray[np.float32]
     """[K, 2] in the view's unit"""
     unsafe: NDArray[np.bool_]
-    """[K]: whether the step into a state cost, or one since the state drawn before"""
+    """[K]: whether a step after the previous drawn state, up to this state, had a cost"""
 
 
 class Steps:
-    """All steps of a training so far, from its files in `steps/`, up to a checkpoint's number."""
+    """All steps of a training so far, from its files in `steps/` up to the number `until`."""
 
     def __init__(self, folder: Path, until: float = np.inf) -> None:
         files = numbered(folder, STEPS).items()
         self._files = [Arrays(path) for number, path in files if number <= until]
 
     def get(self, run: RunId, name: str) -> NDArray | None:
-        """An array of a run over all files; None where there is none."""
+        """Return an array of a run, concatenated over all files; None if there is none."""
         key = run.prefix + name
         parts = [file[key] for file in self._files if key in file]
         return np.concatenate(parts) if parts else None
 
     @property
     def metrics(self) -> NDArray[np.str_]:
-        """Names of the numbers of an update."""
+        """Names of the numbers that an update records."""
         return self._files[0]["metrics"] if self._files else np.array([], dtype=np.str_)
 
 
 def steps_recorded(folder: Path, config: TrainConfig, until: float) -> NDArray[np.int64]:
-    """Steps of each run in `steps/` up to a checkpoint's number, [R]. Those of an epoch in which a
-    run failed are not there."""
+    """Return the number of steps of each run in `steps/` up to a checkpoint's number, [R], without
+    the epoch in which a run failed."""
     steps = Steps(folder, until)
     lengths = (steps.get(run, "length") for run in config.runs)
     return np.array([0 if length is None else length.sum() for length in lengths], dtype=np.int64)
@@ -117,10 +116,10 @@ def write_results(
     tracebacks: NDArray[np.object_],
     episodes: int | None = None,
 ) -> dict[str, Episodes]:
-    """Evaluate the policies of a training that is done, and write `results.npz`.
+    """Evaluate the policies of a finished training, and write `results.npz`.
 
-    failures, tracebacks: [R], why runs failed. episodes: others than the configuration's. Returns
-    the evaluations by policy.
+    failures, tracebacks: [R], why runs failed. episodes: number per run, by default the
+    configuration's. Returns the evaluations by policy.
     """
     episodes = config.evaluation_episodes if episodes is None else episodes
     evaluated = evaluate_runs(config, policy, episodes, failures == "")
@@ -163,8 +162,8 @@ def derived(
     failures: NDArray | None = None,
     looks: Mapping[str, Looks] | None = None,
 ) -> dict[str, NDArray]:
-    """The arrays of `results.npz` but for evaluations, of a training that need not be done. looks:
-    of the tasks, where the caller has them."""
+    """Return the arrays of `results.npz` except evaluations; the training may be unfinished. looks:
+    those of the tasks, if the caller has them."""
     steps, looks = Steps(folder), looks or _looks(config)
     arrays: dict[str, NDArray] = {"metrics": steps.metrics}
     for task in config.tasks:
@@ -181,7 +180,7 @@ def derived(
             own, records = _run(steps, run, length, config)
             for name in info:
                 values = steps.get(run, f"info/{name}")
-                # A training that began before the task had it recorded lacks steps.
+                # Steps are missing if the task was made to record it after the training began.
                 if values is not None and len(values) == length.sum():
                     packed = pack_costs(five_digits(values).astype(np.float32)).items()
                     own |= {f"info/{name}/{key}": array for key, array in packed}
@@ -205,7 +204,7 @@ def derived(
 def _run(
     steps: Steps, run: RunId, length: NDArray[np.int64], config: TrainConfig
 ) -> tuple[dict[str, NDArray], EpisodeRecords]:
-    """Arrays of a run, and its records with the first cost."""
+    """Return the arrays of a run, and its records with the first cost."""
     updates, returns = steps.get(run, "updates"), steps.get(run, "return")
     assert updates is not None
     assert returns is not None
@@ -220,7 +219,7 @@ def _run(
 
 
 def smallest(values: NDArray[np.int64]) -> NDArray:
-    """Integers in the smallest type that holds them."""
+    """Return integers in the smallest type that holds them."""
     for kind in (np.uint8, np.uint16, np.int32):
         if np.array_equal(values.astype(kind), values):
             return values.astype(kind)
@@ -228,7 +227,7 @@ def smallest(values: NDArray[np.int64]) -> NDArray:
 
 
 def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
-    """Costs of steps: a bit each, and the values where some are neither 0 nor 1. Back:
+    """Pack the costs of steps: a bit each, and the values unless all are 0 or 1. The inverse is
     `emcc.records.unpack_costs`."""
     unsafe = costs != 0
     packed = {"unsafe": np.packbits(unsafe), "steps": np.array(len(costs))}
@@ -238,7 +237,7 @@ def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
 
 
 def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
-    """Why a run of `results.npz` failed, or its evaluation; "" where neither did."""
+    """Return why a run of `results.npz`, or its evaluation, failed; "" if neither did."""
     for name in ("failure", "evaluation_failure"):
         if run.prefix + name in arrays:
             return str(arrays[run.prefix + name])
@@ -247,8 +246,8 @@ def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
 
 
 def failed_runs(folder: Path, config: TrainConfig) -> Iterator[tuple[RunId, str, str]]:
-    """The runs of `results.npz` that failed, or whose evaluation did: why, and the traceback of the
-    task's error, "" where it was none. config: of the folder."""
+    """Yield the runs of `results.npz` that failed, or whose evaluation did, with the reason and the
+    traceback of the task's error, "" if it was none. config: that of the folder."""
     arrays = Arrays(folder / RESULTS)
     for run in config.runs:
         if why := why_failed(arrays, run):
@@ -257,14 +256,15 @@ def failed_runs(folder: Path, config: TrainConfig) -> Iterator[tuple[RunId, str,
 
 
 def whole_training(records: EpisodeRecords, steps: int) -> int:
-    """Environment steps of a whole training, of which so many were asked for: those taken, where
-    the last epoch took more."""
+    """Return the environment steps of a whole training: those asked for, or those taken if the last
+    epoch took more."""
     return max(steps, records.total_steps)
 
 
 def told_steps(asked: int, taken: Iterable[int]) -> int:
-    """Environment steps in names and on axes: the most that a run took; those asked for, where that
-    is the rest of a last episode. Thirds are of the exact number that each run took."""
+    """Return the environment steps for names and axes: the most that a run took, or those asked for
+    if the difference is only the rest of a last episode. Thirds of training are of the exact number
+    that each run took."""
     most = max(taken, default=asked)
     return most if most > (1 + ROUNDED) * asked else asked
 
@@ -277,12 +277,12 @@ def count_visits(
     alpha: float = ALPHA,
     cells: int = CELLS,
 ) -> list[Visits]:
-    """States of the rollouts that dominate EMCC in some parts of training, all runs together.
+    """Count the states of the rollouts that dominate EMCC in parts of training, over all runs.
 
-    runs: records and positions [steps, 2] of each; steps: asked of each; alpha: the share of
-    rollouts with the highest MCC, those equal to the last of them included; 1 takes all. cells:
-    along each side. Source: the figures of visited states. Raises UserError where no rollout starts
-    in a part.
+    runs: records and positions [steps, 2] of each; steps: environment steps asked of each run;
+    alpha: the share of rollouts with the highest MCC, including all that equal the last of them; 1
+    takes all. cells: number along each side. Source: the paper's figures of visited states. Raises
+    UserError if no rollout starts in a part.
     """
     visits = []
     for part in parts:
@@ -303,8 +303,8 @@ def count_visits(
 
 
 def replay_rows(records: EpisodeRecords, steps: int) -> list[tuple[int, int]]:
-    """For each window of training in which an episode starts: the window, and the row of the
-    episode of highest MCC, the first of equal ones."""
+    """Return, for each window of training in which an episode starts, the window and the row of the
+    episode with the highest MCC, the first of equal ones."""
     window = np.minimum(records.start_step * WINDOWS // steps, WINDOWS - 1)
     share = records.longest_streak / records.length
     # By window, then by falling MCC, then by time.
@@ -319,8 +319,8 @@ def _replay(
     costs: NDArray[np.floating],
     steps: int,
 ) -> dict[str, NDArray]:
-    """The drawn points of the replay's episodes, one after the other, the box of all their points,
-    and which of their steps cost."""
+    """Return the drawn points of the replay's episodes, one after the other, the box of all their
+    points, and which of their steps have a cost."""
     rows = [row for _, row in replay_rows(records, steps)]
     spans = [slice(s, s + n) for s, n in zip(records.start_step, records.length, strict=True)]
     paths = [positions[spans[row]].astype(float) for row in rows]
@@ -334,8 +334,7 @@ def _replay(
 
 
 def shown_states(steps: int) -> NDArray[np.int64]:
-    """The states of an episode that are drawn: all of `STATES` or fewer, else every k-th, and the
-    last.
+    """Return which states of an episode are drawn: all up to `STATES`, else each k-th and the last.
 
     The page's script has the same rule.
     """
@@ -344,10 +343,10 @@ def shown_states(steps: int) -> NDArray[np.int64]:
 
 
 def drawn(positions: NDArray[np.float32], costs: NDArray[np.float64]) -> Drawn:
-    """The points of an episode that a page draws.
+    """Return the points of an episode that a page draws.
 
-    positions: [T + 1, 2], the start first, or [T, 2]; costs: [T], each of the state its step ends
-    in.
+    positions: [T + 1, 2], the start first, or [T, 2]; costs: [T], each for the state in which its
+    step ends.
     """
     at = shown_states(len(positions))
     cost = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
@@ -355,21 +354,21 @@ def drawn(positions: NDArray[np.float32], costs: NDArray[np.float64]) -> Drawn:
 
 
 def path_digits(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Points of the replay's grid, [K, 2], as the digits of the ways from one to the next, [D, 2,
-    K], which pack to less: most fit one byte. `path_of` reads them."""
+    """Encode points of the replay's grid, [K, 2], as digits of the differences of consecutive
+    points, [D, 2, K], which compress better: most fit one byte. `path_of` is the inverse."""
     ways = np.diff(points.astype(np.int64), axis=0, prepend=0) + NEAR
     return digits((ways % 2**BITS).T)
 
 
 def path_of(ways: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """The points of `path_digits`."""
+    """Return the points that `path_digits` encoded."""
     return (np.cumsum(of_digits(ways) - NEAR, axis=1) % 2**BITS).T.astype(np.uint16)
 
 
 def places_of(
     view: View | None, ends: NDArray[np.float32], costs: NDArray[np.float64]
 ) -> dict[str, NDArray]:
-    """Where evaluated episodes end, and by which way, where the view names places.
+    """Return where evaluated episodes end, and by which way; {} if the view names no places.
 
     ends: [N, 2], positions; costs: [N], of whole episodes.
     """
@@ -386,7 +385,7 @@ def places_of(
 
 
 def three_digits(values: NDArray) -> NDArray[np.float64]:
-    """Numbers to three significant digits each. Those of float32 are rounded to the same."""
+    """Round numbers to three significant digits each; it does not matter if they were float32."""
     exact = np.asarray(values, dtype=np.float64)
     size = np.abs(exact, where=exact != 0, out=np.ones_like(exact))
     scale = 10.0 ** (2 - np.floor(np.log10(size)))
@@ -394,8 +393,8 @@ def three_digits(values: NDArray) -> NDArray[np.float64]:
 
 
 def thousandths(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], float]:
-    """Numbers to three digits of the one that is largest in magnitude: as whole numbers, and what
-    these are divided by. Of rounded ones the same again."""
+    """Round numbers to three digits of the largest in magnitude: return them as whole numbers, and
+    what these are to be divided by. Rounding twice changes nothing."""
     largest = float(np.abs(values).max(initial=0.0))
     if not largest:
         return np.zeros(len(values), np.int64), 1.0
@@ -405,10 +404,10 @@ def thousandths(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], float]:
 
 
 def five_digits(values: NDArray) -> NDArray[np.float64]:
-    """The nearest numbers of 16 significant bits: off by a part in 65 536 at most.
+    """Round numbers to 16 significant bits: an error of at most one part in 65 536.
 
-    Means over hundreds of episodes to three digits need no more. Rounded twice is rounded once.
-    Where a number lies beyond float32, all stay as they are.
+    Means over hundreds of episodes to three digits need no more. Rounding twice changes nothing. If
+    a number lies beyond float32, all stay as they are.
     """
     exact = np.asarray(values, dtype=np.float64)
     with np.errstate(over="ignore"):

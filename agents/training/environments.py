@@ -1,4 +1,4 @@
-"""Environments to train in: any gymnasium task with Box spaces and costs in its info."""
+"""Environments for training: any gymnasium task with Box spaces and costs in its info."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
 TASK = re.compile(r"([\w.]+:)?([\w-]+/)?[\w:.-]+")
-"""Ids of tasks, as gymnasium has them, with the module that registers them before."""
+"""Ids of tasks as in gymnasium, optionally preceded by the module that registers them."""
 
 
 def make_envs(
@@ -52,12 +52,13 @@ def make_envs(
     costs: Sequence[str] = ("cost",),
     alone: bool = False,
 ) -> VectorEnv:
-    """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
+    """Make `num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
-    auto: the task's own vector environment where it has one that need not reset itself, gymnasium's
-    `SyncVectorEnv` otherwise; async: `AsyncVectorEnv`, a process for each environment. All give the
-    same numbers. step_timeout, alone: see `Guard`. Raises UserError for an unknown task, parameters
-    it refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
+    auto: the task's own vector environment, if it has one that need not reset itself, else
+    gymnasium's `SyncVectorEnv`; async: `AsyncVectorEnv`, a process for each environment. All give
+    the same numbers. step_timeout, alone: see `Guard`. Raises UserError for an unknown task,
+    parameters that the task refuses, and spaces that are not flat Boxes (bounded for actions).
+    Errors in a reset or step are TaskFailures.
     """
     envs = unscaled(task, num_envs, parameters, vectorization, costs)
     return ScaledActions(Guard(envs, task, step_timeout, alone))
@@ -70,7 +71,7 @@ def unscaled(
     vectorization: Vectorization = "auto",
     costs: Sequence[str] = ("cost",),
 ) -> VectorEnv:
-    """The environments of `make_envs` with the task's own actions."""
+    """Make the environments of `make_envs`, but with the task's own actions."""
     name, mode = registered(task), "async" if vectorization == "async" else "sync"
     own: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
     try:
@@ -86,7 +87,7 @@ def unscaled(
         # gymnasium wraps the error of another process in one of the same class.
         inner = error.args[0] if isinstance(error, OwnCodeError) else error
         if isinstance(inner, OwnCodeError):
-            traceback.clear_frames(error.__traceback__)  # which hold the other processes
+            traceback.clear_frames(error.__traceback__)  # the frames hold the other processes
             raise OwnCodeError(f"cannot make task {task!r}: {inner}") from inner.__cause__
         if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
             raise UserError(f"cannot make task {task!r}: {error}") from error
@@ -96,7 +97,7 @@ def unscaled(
 
 
 def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("cost",)) -> None:
-    """Raise UserError for a task that cannot be made, never ends, or whose steps lack a cost."""
+    """Raise UserError if a task cannot be made, never ends, or its steps lack a cost."""
     if parameters.get("max_episode_steps", 1) is None:
         raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
     for parameter in sorted(parameters.keys() & gym.spec(registered(task)).kwargs.keys()):
@@ -120,7 +121,7 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
 
 
 def _gives_six(envs: VectorEnv) -> bool:
-    """Whether a step of a task that fails returns six values, as gymnasium's wrappers hide."""
+    """Whether a task fails because its step returns six values, which gymnasium's wrappers hide."""
     own: Any = envs.unwrapped
     env = own.envs[0].unwrapped if isinstance(own, SyncVectorEnv) else own
     with contextlib.suppress(*OWN_ERRORS):
@@ -130,33 +131,33 @@ def _gives_six(envs: VectorEnv) -> bool:
 
 
 def time_limit(task: str, parameters: dict[str, Any]) -> int | None:
-    """Steps after which an episode of a registered task is cut off; None where it is not known."""
+    """Return the steps after which episodes of a registered task are truncated; None if unknown."""
     return parameters.get("max_episode_steps", gym.spec(registered(task)).max_episode_steps)
 
 
 def most_steps(*limits: int | None) -> int:
-    """Steps after which an episode counts as one that never ends, by the tasks' time limits."""
+    """Return after how many steps an episode is taken to never end, by the tasks' time limits."""
     return max(MAX_STEPS, *(limit or 0 for limit in limits))
 
 
 class Looks(NamedTuple):
-    """View and recorded numbers that a task's environment declares."""
+    """The view and the recorded numbers that a task's environment declares."""
 
     view: View | None
-    """Its attribute `view`; None where it has none."""
+    """Attribute `view` of the environment; None if it has none."""
     recorded: dict[str, str]
-    """`recorded_info`"""
+    """See `recorded_info`."""
 
 
 def looks_of(task: str, parameters: dict[str, Any]) -> Looks:
-    """The declarations of a registered task, empty for another: no module is imported for it.
-    Raises UserError where the task cannot be made."""
+    """Return what a registered task declares; for any other task nothing, as no module is imported
+    for it. Raises UserError if the task cannot be made."""
     with _one(task, parameters) as env:
         return Looks(_view(env), {} if env is None else recorded_info(env))
 
 
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
-    """The view of a registered task alone: see `looks_of`."""
+    """Return only the view of a registered task: see `looks_of`."""
     with _one(task, parameters) as env:
         return _view(env)
 
@@ -171,8 +172,8 @@ def _view(env: Any) -> View | None:
 
 @contextlib.contextmanager
 def _one(task: str, parameters: dict[str, Any]) -> Iterator[Any]:
-    """An environment of a registered task, with its wrappers, which may hold attributes; None of
-    another task."""
+    """Yield an environment of a registered task, with its wrappers, which may hold attributes; None
+    for any other task."""
     name = task.rpartition(":")[2]
     if name not in gym.registry:
         yield None
@@ -187,8 +188,8 @@ def spaces_of(
     parameters: dict[str, Any],
     wrap: Callable[[VectorEnv, str], VectorEnv] = lambda envs, task: envs,
 ) -> Spaces:
-    """`Spaces` of some tasks as policies see them: wrap returns their environments so. Raises
-    UserError where they have different ones."""
+    """Return the common spaces of tasks as policies see them; wrap: (environments, task) -> the
+    environments as policies see them. Raises UserError if the spaces differ."""
     spaces: list[Spaces] = []
     for task in tasks:
         with contextlib.closing(unscaled(task, 1, parameters)) as envs:
@@ -205,8 +206,8 @@ def spaces_of(
 
 
 def checked_spaces(task: str, observations: Any, actions: Any) -> Spaces:
-    """`Spaces` of the spaces of one environment of a task. Raises UserError where they are not flat
-    Boxes, that of the actions bounded."""
+    """Return `Spaces` from the spaces of an environment. Raises UserError if they are not flat
+    Boxes, or actions are not bounded."""
     _check_space(task, "observation", observations)
     _check_space(task, "action", actions)
     if not (np.isfinite([actions.low, actions.high]).all() and (actions.low < actions.high).all()):
@@ -217,27 +218,27 @@ def checked_spaces(task: str, observations: Any, actions: Any) -> Spaces:
 
 
 class Spaces(NamedTuple):
-    """Observations and actions of a task."""
+    """Size of a task's observations, and bounds and type of its actions."""
 
     observation_size: int
     low: tuple[float, ...]
     """Least value of each number of an action."""
     high: tuple[float, ...]
-    """Greatest likewise."""
+    """Greatest value of each number of an action."""
     dtype: str
     """Type of actions, such as float32."""
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Numbers an observation and an action hold."""
+        """Numbers in an observation and in an action."""
         return self.observation_size, len(self.low)
 
 
 def registered(task: str) -> str:
-    """The id of a task, without the module in "module:id".
+    """Return the id of a registered task, without the module in "module:id".
 
-    Nothing is imported: the task may come from the files of somebody else. Raises UserError where
-    the task is not registered, naming the module to be imported.
+    Nothing is imported, since the task may come from somebody else's files. Raises UserError,
+    naming the module to import, if the task is not registered.
     """
     module, _, name = task.rpartition(":")
     if module and name not in gym.registry:
@@ -249,7 +250,7 @@ def registered(task: str) -> str:
         gym.spec(name)
     except gym.error.Error as error:
         task, name = (text if len(text) < 80 else f"{text[:80]}..." for text in (task, name))
-        if isinstance(error, gym.error.VersionNotFound):  # which names the versions there are
+        if isinstance(error, gym.error.VersionNotFound):  # it names the versions
             raise UserError(f"cannot make task {task!r}: {error}") from None
         hint = nearest(name, gym.registry, otherwise="gymnasium does not have it")
         raise UserError(
@@ -260,11 +261,10 @@ def registered(task: str) -> str:
 
 
 def task_id(task: str) -> str:
-    """The id of a task that the user names, with its version, where none is given the newest:
-    Circle2D-1-v0 for Circle2D-1.
+    """Return the id of the task that a user names, by default with the newest version.
 
-    "module:id" imports the module, as gymnasium does it. Raises UserError for an unknown task, and
-    for what is no id.
+    For example, Circle2D-1-v0 for Circle2D-1. "module:id" imports the module, as in gymnasium.
+    Raises UserError for an unknown task, and for anything that is no id.
     """
     if not isinstance(task, str) or not TASK.fullmatch(task):
         given = repr(task)[:80]
@@ -274,7 +274,7 @@ def task_id(task: str) -> str:
         try:
             importlib.import_module(module)
         except OWN_ERRORS as error:  # of the user's own code
-            if is_missing(error, module):  # itself
+            if is_missing(error, module):  # not one that it imports
                 words = f"there is no module {module!r}; for one in the current folder give"
                 raise UserError(f"task {task!r}: {words} --import {module}") from None
             raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
@@ -287,8 +287,8 @@ def task_id(task: str) -> str:
 
 
 def module_of_task(task: str) -> str:
-    """The module whose import makes a task known: that of "module:id", else of its entry point; ""
-    for tasks that gymnasium and this package register."""
+    """Return the module whose import registers a task: that of "module:id", else of the entry
+    point; "" for tasks that gymnasium or this package registers."""
     module = task.rpartition(":")[0]
     entry_point = gym.spec(registered(task)).entry_point
     if isinstance(entry_point, str):
@@ -300,7 +300,7 @@ def module_of_task(task: str) -> str:
 
 
 def is_native(task: str) -> bool:
-    """Whether a task has a vector environment of its own with a choice of autoreset mode."""
+    """Whether a task has its own vector environment, with a choice of the autoreset mode."""
     entry_point = gym.spec(registered(task)).vector_entry_point
     if entry_point is None:
         return False
@@ -315,7 +315,7 @@ def _check_space(task: str, name: str, space: gym.Space) -> None:
     must = "a flat Box" if not flat else "of floats"
     remedy = "register the task with gymnasium.wrappers.FlattenObservation around it"
     if name == "action":
-        remedy = "the algorithms here have continuous actions alone"
+        remedy = "the algorithms here have continuous actions only"
     elif (without := task.replace("Vision-", "-")) != task:
         remedy = f"the algorithms here learn from numbers, not from pictures; {without} has none"
     raise UserError(

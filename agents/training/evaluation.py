@@ -1,4 +1,4 @@
-"""Evaluation of a training's runs, all together: whole episodes of their policies."""
+"""Evaluation of a training's runs, all together, in whole episodes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from agents.training.environments import is_native, looks_of, make_envs
 from agents.training.wrappers import RecordSteps, SideBySide
 
 SNAPSHOT_EPISODES = 20
-"""Episodes of each run and policy in an evaluation during training."""
+"""Episodes of each run, per policy, in an evaluation during training."""
 POLICIES = ("deterministic", "stochastic")
 DRAWN = 5
 """Episodes of each trained policy that a report draws."""
 
 
 class Episodes(NamedTuple):
-    """Evaluated episodes of each run by one policy; those of a void run mean nothing."""
+    """Evaluated episodes of each run with one kind of policy; those of a void run mean nothing."""
 
     returns: NDArray[np.float64]
     """[R, N]: undiscounted"""
@@ -34,38 +34,38 @@ class Episodes(NamedTuple):
     lengths: NDArray[np.int64]
     """[R, N]: steps"""
     ends: NDArray[np.float32]
-    """[R, N, 2]: positions; NaN where the task has no view"""
+    """[R, N, 2]: positions at the ends of episodes; NaN if the task has no view"""
     failure: NDArray[np.object_]
-    """[R]: as `Rollout.failure`, of the first episode that failed"""
+    """[R]: `Rollout.failure` of the first episode that failed, or ''"""
     void: NDArray[np.bool_]
-    """[R]: runs that were not evaluated, or failed in it"""
+    """[R]: mask of the runs that were not evaluated, or failed in their evaluation"""
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]
-    """The first `DRAWN` episodes of each run whose task has a view: positions [T + 1, 2], the start
-    first, and costs [T]"""
+    """The first `DRAWN` episodes of each run, if its task has a view: positions [T + 1, 2], the
+    start first, and costs [T]"""
 
     def why(self, k: int) -> str:
-        """Words on why the k-th run's evaluation failed."""
+        """Return why the evaluation of the k-th run failed, in words."""
         cause = self.failure[k]
         if isinstance(cause, TaskFailure):
             return f"its evaluation failed: {one_line(cause)}"
         return f"its evaluation met a number that is not finite: its {cause}"
 
     def of_run(self, k: int) -> dict[str, NDArray]:
-        """The numbers of the k-th run's episodes that are kept, by name."""
+        """Return the numbers to keep of the k-th run's episodes, by name."""
         return {"returns": self.returns[k], "costs": self.costs[k], "lengths": self.lengths[k]}
 
 
 def evaluate_runs(
     config: TrainConfig, policy: RunsPolicy, episodes: int, active: NDArray[np.bool_] | None = None
 ) -> dict[str, Episodes]:
-    """Play episodes with the policy of every run, without its noise and with it, by name.
+    """Play episodes with the policy of every run, without and with its noise, by `POLICIES`.
 
     Start states and noise come from the run's seed, so that an evaluation can be repeated bit for
-    bit. active: [R], runs to be evaluated.
+    bit. active: [R], runs to evaluate.
     """
     active = np.ones(len(config.runs), dtype=bool) if active is None else active
-    # As many as memory holds; others than native ones are a model or a process each. Noise is drawn
-    # for all episodes in every part, so there are about 100 parts at the most.
+    # Limited by memory: an environment that is not native is a model or a process of its own. Noise
+    # is drawn for all episodes in every part, so native ones have at most about 100 parts.
     native = config.vectorization == "auto" and all(map(is_native, config.tasks))
     at_once = min(episodes, max(100, episodes // 100) if native else 10)
     evaluated = {}
@@ -88,7 +88,7 @@ def evaluate_runs(
 
 
 def runs_envs(config: TrainConfig, each: int) -> SideBySide:
-    """Environments of all runs, `each` of a run; they record their steps."""
+    """Make the environments of all runs, `each` per run, which record their steps."""
     parts = []
     for task in config.tasks:
         envs = make_envs(
@@ -116,12 +116,12 @@ def play(
     active: NDArray[np.bool_],
     noisy: bool,
 ) -> Rollout:
-    """Play episodes `first`, `first + 1`, ... of an evaluation over `episodes`, `count` a run.
+    """Play `count` episodes per run, from number `first` on, of an evaluation of `episodes`.
 
     envs: R·count environments. The rollout holds run after run, [T, R·count].
     """
     runs, action_size = len(config.runs), (envs.single_action_space.shape or (1,))[0]
-    chosen = np.arange(first, first + count) % episodes  # beyond the last: played, and left out
+    chosen = np.arange(first, first + count) % episodes  # beyond the last: the caller drops them
     seeds = environment_seeds(config.stream_seeds, Purpose.EVALUATION, 0, episodes)
     seeds = np.array(seeds).reshape(runs, episodes)[:, chosen].ravel().tolist()
     shape = (episodes, action_size)
@@ -137,7 +137,7 @@ def play(
 
 
 def ends_of(envs: SideBySide, rollout: Rollout) -> NDArray[np.float32]:
-    """Where each episode of a rollout ended, [N, 2]; NaN where its task has no view."""
+    """Return where each episode of a rollout ended, [N, 2]; NaN if its task has no view."""
     ends = np.full((envs.num_envs, 2), np.nan, dtype=np.float32)
     first = 0
     for part in envs.parts:
@@ -150,7 +150,7 @@ def ends_of(envs: SideBySide, rollout: Rollout) -> NDArray[np.float32]:
 def paths_of(
     envs: SideBySide, rollout: Rollout, runs: int, most: int
 ) -> list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]:
-    """`Episodes.paths` of a rollout, `most` of each run."""
+    """Return `Episodes.paths` of a rollout, at most `most` of each run."""
     each = envs.num_envs // runs
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]] = []
     for part in envs.parts:

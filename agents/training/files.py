@@ -1,4 +1,4 @@
-"""Files of runs: each is written once, whole or not at all, and the lock of a folder."""
+"""Files of runs, each written whole or not at all, and locks of folders."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from emcc.npz import UNREADABLE, Npz, is_damage, words_of
 AnyPath = Path | zipfile.Path
 """A file or folder on disk, or in an archive."""
 UNFINISHED = ".unfinished"
-"""Ends the name of a file that is being written."""
+"""Suffix of the name of a file while it is being written."""
 
 
 @contextlib.contextmanager
 def content_of(path: AnyPath) -> Iterator[None]:
-    """Raise UserError, naming the file, where its content has not its form or checksum.
+    """Raise UserError, naming the file, for content with a wrong form or checksum.
 
-    An error of the disk or of the memory passes: it says nothing about the file, which may be whole
-    the next time.
+    Errors of the disk or the memory pass unchanged: they say nothing about the file, which may be
+    readable the next time.
     """
     why: BaseException
     try:
@@ -50,18 +50,17 @@ def content_of(path: AnyPath) -> Iterator[None]:
 
 
 class NoLocks(UserError):
-    """A file system without file locks."""
+    """The file system has no file locks."""
 
 
 @contextlib.contextmanager
 def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
-    """Keep other processes from training and evaluating in a folder meanwhile.
+    """Keep other processes from training or evaluating in a folder meanwhile.
 
-    A process that is killed holds nothing. patience: seconds to wait for a lock that another
-    process holds. Raises UserError where it still holds it then, NoLocks where the file system has
-    none.
+    A killed process leaves no lock. patience: seconds to wait for another process. Raises UserError
+    if it holds the lock longer, NoLocks if the file system has no locks.
     """
-    with warnings.catch_warnings():  # where the system has no file locks: filelock makes do
+    with warnings.catch_warnings():  # filelock warns where the system has no file locks
         warnings.simplefilter("ignore")
         from filelock import FileLock, Timeout
     lock = FileLock(folder / ".lock")
@@ -74,7 +73,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
             raise
         raise NoLocks(
             f"{lock.lock_file} cannot be locked: {error.strerror}. The file system has no locks, "
-            "as NFS mounted without them: choose a folder on a local disk, or mount it with locks"
+            "like NFS mounted without them: choose a folder on a local disk, or mount it with locks"
         ) from None
     try:
         yield
@@ -84,8 +83,8 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[IO[bytes]]:
-    """A new file that takes the place of `path` at the end, flushed; nothing is left of it where
-    that is not reached. Raises UserError as `check_file`, OSError with the file's name."""
+    """Open a new file that, flushed, replaces `path` on exit; after an error nothing is left of it.
+    Raises UserError as `check_file`, OSError with the file's name."""
     check_file(path)
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(8)}{UNFINISHED}")
     try:
@@ -95,7 +94,7 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
             os.fsync(file.fileno())
         os.replace(unfinished, path)
     except OSError as error:
-        if error.errno is not None and error.filename is None:  # as a full disk raises it
+        if error.errno is not None and error.filename is None:  # as for a full disk
             error.filename = str(path)
         raise
     finally:
@@ -109,7 +108,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what killed processes left of files that they were writing; while it is locked."""
+    """Remove unfinished files of killed processes; the folder must be locked."""
     for path in folder.rglob(f".*{UNFINISHED}"):
         path.unlink(missing_ok=True)
 
@@ -120,18 +119,18 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def archive_of(path: Path) -> Path | None:
-    """The file that a path is or leads into; None for a path of folders alone."""
+    """Return the file that a path is or leads into; None if there are only folders."""
     return next((part for part in (path, *path.parents) if part.is_file()), None)
 
 
 def opened(path: Path) -> AnyPath:
-    """A folder as its files are read: of a path that leads into an archive, the folder there."""
+    """Return a path for reading: one that leads into an archive becomes a path within it."""
     archive = archive_of(path)
     return zipfile.Path(archive).joinpath(*path.relative_to(archive).parts) if archive else path
 
 
 def read_json(path: AnyPath) -> dict[str, Any]:
-    """Read a JSON object. Raises UserError naming the file where it is missing or damaged."""
+    """Read a JSON object. Raises UserError naming the file if it is missing or damaged."""
     with content_of(path):
         with _there(path):
             data = path.read_bytes()
@@ -144,14 +143,14 @@ def read_json(path: AnyPath) -> dict[str, Any]:
 def write_arrays(
     target: Path | IO[bytes], arrays: Mapping[str, NDArray], compression: int = zipfile.ZIP_STORED
 ) -> None:
-    """Write named arrays as an .npz file, which `numpy.load` reads; equal ones give equal bytes."""
+    """Write named arrays as an .npz file, for `numpy.load`; equal arrays give equal bytes."""
     if isinstance(target, Path):
         with whole(target) as file:
             write_arrays(file, arrays, compression)
         return
     with zipfile.ZipFile(target, "w") as archive:
         for name, array in arrays.items():
-            member = zipfile.ZipInfo(f"{name}.npy")  # of a fixed date
+            member = zipfile.ZipInfo(f"{name}.npy")  # with a fixed date
             member.compress_type = compression
             with archive.open(member, "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
@@ -159,7 +158,7 @@ def write_arrays(
 
 @contextlib.contextmanager
 def _there(path: AnyPath) -> Iterator[None]:
-    """Raise UserError where there is no such file."""
+    """Raise UserError if the file does not exist."""
     try:
         yield
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError, KeyError):
@@ -167,13 +166,13 @@ def _there(path: AnyPath) -> Iterator[None]:
 
 
 class _Reopened:
-    """A file that is open within `with` alone: a training may have more than a process may open."""
+    """A file that is open only inside `with`: a training may have more than a process may open."""
 
     def __init__(self, path: AnyPath) -> None:
         self._open: Callable[[], IO[bytes]]
         if isinstance(path, Path):
             self._open = lambda: path.open("rb")
-        else:  # in an archive, where it is compressed
+        else:  # compressed in an archive
             self._open = functools.partial(io.BytesIO, path.read_bytes())
         with self:
             self.size = self._file.seek(0, os.SEEK_END)
@@ -185,7 +184,7 @@ class _Reopened:
         self._file.close()
 
     def read(self, count: int = -1) -> bytes:
-        """At most so many bytes; a damaged directory may ask for more than memory holds."""
+        """Read at most the bytes left; a damaged directory may ask for more than memory holds."""
         left = max(0, self.size - self._file.tell())
         return self._file.read(left if count < 0 else min(count, left))
 
@@ -196,9 +195,9 @@ class _Reopened:
 
 
 class Arrays(Mapping[str, NDArray]):
-    """The arrays of an .npz file by name, each read, and compared with its checksum, when it is
-    asked for; meanwhile the file is closed. Raises UserError naming the file where it is missing or
-    damaged, OSError where it cannot be read."""
+    """The arrays of an .npz file by name. Each is read and compared with its checksum on access; in
+    between the file is closed. Raises UserError naming the file if it is missing or damaged,
+    OSError if it cannot be read."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path
@@ -224,7 +223,7 @@ class Arrays(Mapping[str, NDArray]):
 
 
 def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:
-    """The files of a folder's part, such as checkpoints/000050000.npz, by number, in order."""
+    """Return the numbered files in a subfolder, such as checkpoints/000050000.npz, in order."""
     part = folder / name
     if not part.is_dir():
         return {}
@@ -233,20 +232,20 @@ def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:
 
 
 def numbered_path(folder: Path, name: str, number: int) -> Path:
-    """The file of a number: see `numbered`."""
+    """Return the path of the file with a number: see `numbered`."""
     return folder / name / f"{number:09d}.npz"
 
 
 def check_folder(path: Path) -> None:
-    """Raise UserError for a folder that cannot be made, since a file is in its way."""
+    """Raise UserError if a folder cannot be made because a file is in the way."""
     for part in (path, *path.parents):
         if part.exists() and not part.is_dir():
             raise UserError(f"out must be a folder, but {str(part)!r} is a file")
 
 
 def check_file(path: Path) -> None:
-    """Raise UserError for a file that is not to be replaced: a folder, a device, a pipe."""
+    """Raise UserError for a path that no file may replace: a folder, a device, a pipe."""
     if path.is_dir():
-        raise UserError(f"{path} is a folder; a file is to be written")
+        raise UserError(f"{path} is a folder: give the path of a file")
     if path.exists() and not path.is_file():
-        raise UserError(f"{path} is a device or a pipe, which no file may replace: give another")
+        raise UserError(f"{path} is a device or a pipe, which no file may replace: give a new path")

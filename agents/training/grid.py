@@ -1,4 +1,4 @@
-"""Grids of trainings: algorithms on tasks with their presets, each in a folder of its own."""
+"""Grids of trainings: algorithms on tasks with their presets, each in its own folder."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from agents.training.config import CONFIG, TrainConfig, file_name
 from agents.training.environments import spaces_of
 
 MOST_RUNS = 12
-"""In a training of several tasks; more make a step of each hardly cheaper."""
+"""Most runs in a training of several tasks; with more, a step of each is hardly cheaper."""
 Variants = Callable[[str, str], Mapping[str, Mapping[str, Any]]]
-"""(algorithm, task) -> values instead of the preset's, by the ending of their folder."""
+"""(algorithm, task) -> for each suffix of a folder's name, values that replace the preset's."""
 
 
 def grid(
@@ -32,13 +32,13 @@ def grid(
     task_parameters: Mapping[str, Any] | None = None,
     variants: Variants | None = None,
 ) -> dict[Path, TrainConfig]:
-    """The trainings of every algorithm on every task with its preset, by folder; what takes longest
-    first.
+    """Return the trainings of every algorithm on every task by folder, longest training first.
 
-    The folder of an algorithm is `out/ALGORITHM` where all tasks train in it together: they have
-    equal presets and spaces, and are few. Otherwise each task has its own, `out/TASK/ALGORITHM`.
-    steps: of each run; by default the usual ones of its task. variants: further trainings, in
-    folders like trpo-lag-sgd. Raises UserError for what is unknown.
+    All tasks of an algorithm train together in `out/ALGORITHM` if they have equal presets and
+    spaces, and are few. Otherwise each task has its own folder, `out/TASK/ALGORITHM`. steps:
+    environment steps of each run, by default the usual number of its task. variants: further
+    trainings, in folders such as trpo-lag-sgd. Raises UserError for unknown tasks, algorithms or
+    hyper-parameters.
     """
     tasks = list(dict.fromkeys(tasks))
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -algorithm(name).work)
@@ -72,37 +72,38 @@ def _equal_spaces(tasks: tuple[str, ...]) -> bool:
     """Whether tasks can train together."""
     try:
         spaces_of(tasks, {})
-    except UserError:  # for one that cannot be made, too, which its training says
+    except UserError:  # also for a task that cannot be made: its training reports that
         return False
     return True
 
 
 def shard(folders: Mapping[Path, TrainConfig], part: int, count: int) -> dict[Path, TrainConfig]:
-    """The `part`-th of `count` parts of a grid, from 1 on, which take about equally long.
+    """Return the `part`-th, from 1, of `count` parts of a grid, which take about equally long.
 
-    Depends on nothing that has been trained, so that the parts of a grid have no folder in common.
+    The result does not depend on what has been trained, so that parts share no folder.
     """
     order = sorted(folders, key=lambda folder: -work(folders[folder]))  # stable
     return {folder: folders[folder] for folder in order[part - 1 :: count]}
 
 
 def work(config: TrainConfig) -> float:
-    """Time that a training takes, in steps of a run of TRPO-Lag."""
+    """Return the time that a training takes, in units of an environment step of TRPO-Lag."""
     return algorithm(config.algorithm).work * config.steps * len(config.runs)
 
 
 LOCKSTEP = 2
-"""The runs of a training take as long as so many more of them: what runs in lockstep share."""
+"""Overhead of a training, in runs: what its runs in lockstep share takes as long as so many."""
 NEGLIGIBLE = 0.95
-"""Share of the time to which smaller parts must bring it to be worth making."""
+"""Smaller parts are made only if they reduce the time below this share of it."""
 
 
 def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, TrainConfig]:
-    """The trainings for so many processes at a time, what takes longest first.
+    """Cut trainings for so many processes at a time; return the parts, longest first.
 
-    Where processes would wait for the longest, trainings are cut into parts, `FOLDER/K-of-N`, with
-    some of their tasks and seeds each; runs have the same numbers alone as among others. What has
-    begun stays cut as it is. Raises UserError where that holds other tasks or seeds.
+    Where processes would wait for the longest training, trainings are cut into parts,
+    `FOLDER/K-of-N`, each with some of their tasks and seeds; the numbers of a run do not depend on
+    the runs beside it. Trainings that have begun stay cut as they are. Raises UserError if their
+    folders hold other tasks or seeds.
     """
     numbers = {folder: _cuts(config) for folder, config in folders.items()}
     share = {f: work(config) / len(config.runs) for f, config in folders.items()}
@@ -141,7 +142,7 @@ def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, Train
         elif begun is not None:
             count = int(begun.parent.name.rpartition("-")[2])
             found = [n for n in numbers[folder] if math.prod(n) == count]
-            if not found:  # as many parts as these runs are never cut into
+            if not found:  # these runs are never cut into so many parts
                 raise UserError(
                     f"{folder} holds {count} parts of a training with other tasks or seeds; choose "
                     "another folder for out"
@@ -153,8 +154,8 @@ def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, Train
 
 
 def _cuts(config: TrainConfig) -> list[tuple[int, int]]:
-    """Into how many parts its tasks and its seeds may be cut: each time more, the largest of which
-    is smaller."""
+    """Return into how many parts tasks and seeds may be cut, in increasing order of the number of
+    parts; each cut has a smaller largest part than the one before."""
     counts = itertools.product(range(1, len(config.tasks) + 1), range(1, len(config.seeds) + 1))
     cuts: list[tuple[int, int]] = []
     smallest = math.inf
@@ -167,21 +168,20 @@ def _cuts(config: TrainConfig) -> list[tuple[int, int]]:
 
 
 def _parts(config: TrainConfig, tasks: int, seeds: int) -> list[TrainConfig]:
-    """The training in so many parts."""
+    """Cut a training into parts: its tasks into so many pieces, and its seeds."""
 
     pairs = itertools.product(_pieces(config.tasks, tasks), _pieces(config.seeds, seeds))
     return [dataclasses.replace(config, tasks=own, seeds=few) for own, few in pairs]
 
 
 def _pieces(items: tuple, count: int) -> list[tuple]:
-    """So many pieces of about equal length."""
+    """Cut items into so many pieces of about equal length."""
     ends = [len(items) * k // count for k in range(count + 1)]
     return [items[start:end] for start, end in itertools.pairwise(ends)]
 
 
 def makespan(durations: Sequence[float], workers: int) -> float:
-    """When the last of some trainings ends of which the longest that waits goes to the first of the
-    workers that is free."""
+    """Return when the last training ends if each free worker takes the longest one that waits."""
     free = [0.0] * workers
     for duration in sorted(durations, reverse=True):
         heapq.heapreplace(free, free[0] + duration)
@@ -189,10 +189,10 @@ def makespan(durations: Sequence[float], workers: int) -> float:
 
 
 def prepare(folders: Mapping[Path, TrainConfig]) -> None:
-    """Make the folders that are not there yet.
+    """Make the folders that do not exist yet.
 
-    Raises UserError, before anything is made, where one holds runs of another configuration, or
-    one cannot be made: else the others would keep the settings of a call that failed.
+    Raises UserError if a folder holds runs of another configuration or cannot be made. This is
+    checked before any folder is made: the others would keep the settings of a call that failed.
     """
     there = [folder for folder in folders if (folder / CONFIG).exists()]
     for folder in there:

@@ -69,7 +69,7 @@ def mistake(arguments, capsys):
         ([*TRAIN, "--out", "{folder}/config.json"], "be a folder, but '.*config.json' is a file"),
         (["resume"], "resume needs a folder of runs"),
         (["report", "{folder}", "--width", "9"], "width must be at least 40 or None, got 9"),
-        (["report", "{folder}", "--archive", "{tmp}"], "is a folder; a file is to be written"),
+        (["report", "{folder}", "--archive", "{tmp}"], "is a folder: give the path of a file"),
         (["report", "{folder}", "--out", os.devnull], "be a folder, but '.*null' is a file"),
         (["compare", "{folder}", "{folder}", "--out", os.devnull], "be a folder, but '.*null' is"),
         ([*TO, "--task", "typo.mine:X-v0"], "no module 'typo.mine'.*give --import typo.mine"),
