@@ -32,7 +32,7 @@ CASES += [(name, CIRCLE) for name in ("sac-lag", "sac-lb", "wcsac")]
 EPOCHS = {GOAL: 1, CIRCLE: 10}
 """Timed epochs of an on-policy algorithm; the SAC family's are of one episode, and four times as
 many of a single run, each with a gradient step for every step."""
-STABLE_BASELINES3 = {"ppo-lag": "PPO", "sac-lag": "SAC"}
+STABLE_BASELINES3 = {"ppo": "PPO", "ppo-lag": "PPO", "sac": "SAC", "sac-lag": "SAC"}
 OMNISAFE = ("PPOLag", "CPO", "TRPOLag")
 EPISODE = 50
 

@@ -14,9 +14,9 @@ from agents.first_order import FirstOrder, Objective, PPOConfig
 def advantage(
     config: PPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multipliers: Tensor
 ) -> Tensor:
-    """`A_r`: costs are recorded, but not used."""
+    """`A_r`: costs are recorded but not learned."""
     return reward_advantage
 
 
-RULE = Objective(advantage)
+RULE = Objective(advantage, costs=0, limits=())
 ALGORITHM = Algorithm("PPO", PPOConfig, RULE, FirstOrder, work=2.4)

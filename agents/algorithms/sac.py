@@ -17,7 +17,7 @@ from agents.sac import CostRule, OffPolicy, SACConfig
 
 
 def penalty(config: SACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
-    """0: the cost critics are there for the records alone."""
+    """Return no penalties, of no risks: costs are recorded but not learned."""
     return torch.zeros_like(risk)
 
 
@@ -26,5 +26,5 @@ def _penalty(config: SACConfig, risk: Float, multipliers: Float) -> tuple[Float,
     return np.zeros_like(risk), np.zeros_like
 
 
-RULE = CostRule(risk, critic_loss, penalty)
+RULE = CostRule(risk, critic_loss, penalty, costs=0, limits=())
 ALGORITHM = Algorithm("SAC", SACConfig, RULE, OffPolicy, work=4.8)

@@ -196,7 +196,12 @@ def limits(rule: Any, config: Any) -> Float:
 
 def names(multipliers: Sequence[Multiplier]) -> tuple[str, ...]:
     """Return the names of the multipliers in records: multiplier, multiplier_2, ..."""
-    return tuple("multiplier" + f"_{k}" * (k > 1) for k in range(1, len(multipliers) + 1))
+    return numbered("multiplier", len(multipliers))
+
+
+def numbered(name: str, count: int) -> tuple[str, ...]:
+    """Return the names of several columns: risk, risk_2, ..."""
+    return tuple(name + f"_{k}" * (k > 1) for k in range(1, count + 1))
 
 
 def follow(

@@ -150,15 +150,15 @@ def raised_advantage(
 def taken(nets: Nets, actor: Tensor, epoch: EpochData, objective: Tensor) -> Taken:
     """Return the epoch's steps with the policy that took them; objective: advantages [R, B]."""
     old = nets.actor.distribution(actor, epoch.observation)
-    gains = torch.stack((objective, epoch.cost_advantage[:, 0]), dim=1)
+    gains = torch.cat((objective[:, None], epoch.cost_advantage[:, :1]), dim=1)
     of_policy = old, old.log_prob(epoch.action)
     return Taken(epoch.observation, epoch.action, epoch.weight, gains, *of_policy)
 
 
 def compared(nets: Nets, actor: Tensor, steps: Taken) -> tuple[Tensor, Tensor]:
     """Compare a policy with the one that took the steps: `E[π(a|s) / π_old(a|s) · A]` for the
-    objective and the first cost, [R, 2], and the mean KL divergence from the old to the new one,
-    [R]."""
+    objective and the first learned cost, [R, 2] ([R, 1] if none is learned), and the mean KL
+    divergence from the old to the new one, [R]."""
     policy = nets.actor.distribution(actor, steps.observation)
     held = steps.weight > 0  # elsewhere a narrow policy may give ∞, and 0 · ∞ is NaN
     change = torch.where(held, policy.log_prob(steps.action) - steps.old_log_prob, 0.0)

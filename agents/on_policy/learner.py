@@ -41,7 +41,7 @@ class OnPolicy(ABC):
         rule = lagrange.with_streaks(rule, config)
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes: int = config.episodes
-        critics_own = ("critic_loss", "cost_critic_loss", "std")
+        critics_own = ("critic_loss", *("cost_critic_loss",) * (rule.costs > 0), "std")
         multipliers = lagrange.names(rule.multipliers)
         self.metrics = (*self.improvement_metrics, *critics_own, *multipliers)
         self.action_size, self.costs = action_size, rule.costs
@@ -175,7 +175,7 @@ class OnPolicy(ABC):
             action=tensor(packing.pack(rollout.action)),
             weight=tensor(packing.weight),
             reward_advantage=tensor(reward),
-            cost_advantage=tensor(np.stack(costs, axis=1)),
+            cost_advantage=tensor(np.ascontiguousarray(np.stack(gains, axis=1)[:, 1:])),
             value_targets=targets,
             length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
             cost=cost,

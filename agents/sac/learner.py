@@ -29,9 +29,6 @@ from agents.sac import update as sac
 from agents.sac.replay import STARTS, Batch, Novelty, Recent, Replay, ReturnScale
 from agents.sac.update import SACConfig
 
-METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entropy")
-"""Records of `sac.update` with one number per run; multipliers and risks come before the last."""
-
 
 def _act(
     layers: Sequence[NDArray[np.float32]],
@@ -61,9 +58,10 @@ class OffPolicy:
         sac.check_rule(config, rule)
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes = 1
-        risks = ("risk", *(f"risk_{k}" for k in range(2, rule.costs + 1)))
-        *usual, last = METRICS
-        self.metrics = (*usual, *lagrange.names(rule.multipliers), *risks, last)
+        cost_critics = ("cost_critic_loss",) * (rule.costs > 0)
+        usual = ("critic_loss", *cost_critics, "actor_loss", "temperature")
+        self._risks = lagrange.numbered("risk", rule.costs)
+        self.metrics = (*usual, *lagrange.names(rule.multipliers), *self._risks, "entropy")
         self.action_size, self.costs = action_size, rule.costs
         self.nets = sac.make_nets(config, observation_size, action_size, rule.costs)
         self._state = sac.initial_state(self.nets, config, rule, seeds)
@@ -167,11 +165,18 @@ class OffPolicy:
             batch = self._as_learned(self._replay.gather(index))
             what = (self.nets, self.config, self.rule, self._state)
             self._state, metrics = sac.update(*what, batch, noise, self._followed(noise), longest)
-            total = total + _columns(metrics)
+            total = total + self._columns(metrics)
         means = total / self.config.gradient_steps
         self._control_multipliers(means[:, -1 - self.costs : -1])
         self._state = tree.where(learning, self._state, before)
         return np.where(learning[:, None], means, np.nan)
+
+    def _columns(self, records: dict[str, Float]) -> Float:
+        """Return the records of an update in the order of `metrics`, [R, metrics]."""
+        multipliers = lagrange.names(self.rule.multipliers)
+        named = records | dict(zip(multipliers, records["multipliers"].T, strict=True))
+        named |= dict(zip(self._risks, records["risks"].T, strict=True))
+        return np.stack([named[name] for name in self.metrics], axis=-1)
 
     def _followed(self, noise: sac.UpdateNoise) -> Float | None:
         """Return the costs that multipliers follow instead of a batch's risk, [R, C], or None: see
@@ -271,11 +276,3 @@ class OffPolicy:
             prefix = f"{name}."
             arrays = {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
             part.load_state_dict(arrays)
-
-
-def _columns(metrics: dict[str, Float]) -> Float:
-    """Return the records of an update in the order of `OffPolicy.metrics`, [R, metrics]."""
-    *usual, last = METRICS
-    single = [metrics[name][:, None] for name in usual]
-    several = (metrics["multipliers"], metrics["risks"], metrics[last][:, None])
-    return np.concatenate([*single, *several], axis=-1)

@@ -399,14 +399,16 @@ def gradient_of(nets: Nets, critics: Float, at: Critics, slope: Float, of: str) 
 
 def of_costs(values: Float, rule: CostRule) -> list[Float]:
     """Return the outputs [R, 2, B] of each cost's critics, from those of all critics."""
-    return list(np.split(values[:, 2:], rule.costs, axis=1)) if rule.costs > 1 else [values[:, 2:]]
+    each = (values.shape[1] - 2) // max(rule.costs, 1)
+    return [values[:, 2 + k * each : 2 + (k + 1) * each] for k in range(rule.costs)]
 
 
 def risks(config: Any, rule: CostRule, values: Float) -> tuple[Float, list[Pull]]:
     """Return the risks [R, C, B] of all costs from the outputs of all critics, and their
     `Pull`s."""
     found = [pulled(rule.risk, config, own) for own in of_costs(values, rule)]
-    return np.concatenate([risk[:, None] for risk, _ in found], axis=1), [p for _, p in found]
+    columns = [values[:, :0], *(risk[:, None] for risk, _ in found)]
+    return np.concatenate(columns, axis=1), [pull for _, pull in found]
 
 
 def risk_at(
@@ -447,7 +449,8 @@ def critic_slope(
     networks at the next action, [R, 2 + 2·C, B].
     """
     error = found[:, :2] - target[:, None]
-    slopes, cost_part, one = [error / error.shape[-1]], 0.0, np.ones(len(found), found.dtype)
+    one = np.ones(len(found), found.dtype)
+    slopes, cost_part = [error / error.shape[-1]], np.zeros_like(one)
     pairs = zip(of_costs(found, rule), of_costs(following, rule), strict=True)
     for k, (own, theirs) in enumerate(pairs):
         of_cost = batch._replace(cost=batch.cost[:, k])
@@ -455,7 +458,7 @@ def critic_slope(
         cost_part = cost_part + loss
         slopes.append(pull(one))
     reward_part = 0.5 * mean(error * error).sum(axis=-1)
-    records = {"critic_loss": reward_part, "cost_critic_loss": np.asarray(cost_part)}
+    records = {"critic_loss": reward_part, "cost_critic_loss": cost_part}
     return np.concatenate(slopes, axis=1), records
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_trainings import assert_same, trained
+from small_trainings import trained
 from toys import register as register_tasks
 
 import agents
@@ -39,13 +39,27 @@ def sac_fixed(tmp_path, monkeypatch):
     __import__("my_algorithm")
 
 
+@pytest.mark.parametrize(
+    ("name", "more"), [("sac", {"cost_critic_loss", "risk"}), ("ppo", {"cost_critic_loss"})]
+)
+def test_a_baseline_is_what_it_would_be_beside_cost_critics(name, more):
+    """A copy whose rule learns a cost, and does not penalise it, records it too."""
+    known = algorithm(name)
+    register("beside", known._replace(rule=known.rule._replace(costs=1)))
+    plain, beside = trained(name), trained("beside")
+    assert set(beside.learner.metrics) - set(plain.learner.metrics) == more
+    np.testing.assert_array_equal(plain.learner._state.actor, beside.learner._state.actor)
+    own, critics = plain.learner._state.critics, beside.learner._state.critics
+    np.testing.assert_array_equal(own, critics[:, : own.shape[1]])
+
+
 def test_from_a_file_of_ones_own(sac_fixed):
-    """At price 0 it is SAC, bit for bit; at ln 2 SAC-Lag with its first multiplier kept."""
+    """At price 0 its actor is SAC's, bit for bit; at ln 2 it is SAC-Lag with its first multiplier
+    kept."""
     assert list(ALGORITHMS) == [*BUILT_IN, "sac-fixed"]
     assert title("sac-fixed") == "SAC-Fixed"
     free, plain = trained("sac-fixed", price=0.0), trained("sac")
-    assert free.learner.metrics == plain.learner.metrics
-    assert_same(free.learner.state_dict(), plain.learner.state_dict())
+    np.testing.assert_array_equal(free.learner._state.actor, plain.learner._state.actor)
     paying, lag = trained("sac-fixed", price=math.log(2.0)), trained("sac-lag", multiplier_lr=0.0)
     actor = lag.learner.state_dict()["actor"]
     np.testing.assert_allclose(paying.learner.state_dict()["actor"], actor, rtol=0, atol=1e-4)

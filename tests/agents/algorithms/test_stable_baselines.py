@@ -14,7 +14,7 @@ from torch import nn
 
 from agents.algorithms import learner, ppo, sac
 from agents.lockstep import tree
-from agents.lockstep.rollout import Rollout
+from agents.lockstep.rollout import Rollout, learned
 from agents.on_policy.epoch import Packing
 from agents.sac import update
 from agents.sac.replay import Batch
@@ -181,7 +181,7 @@ def test_ppo():
     buffer.compute_returns_and_advantage(torch.zeros(1), np.array([True]))
     buffer.advantages -= buffer.advantages.mean()
     buffer.advantages /= buffer.advantages.std()
-    epoch = it._epoch(rollout, Packing(rollout.during, 1))
+    epoch = it._epoch(learned(rollout, config, it.costs), Packing(rollout.during, 1))
     np.testing.assert_allclose(epoch.reward_advantage[0, :ROWS], buffer.advantages[:, 0], 0, 2e-5)
     np.testing.assert_allclose(epoch.value_targets[0, 0, :ROWS], buffer.returns[:, 0], 0, 2e-5)
     model.train()
