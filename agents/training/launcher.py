@@ -1,5 +1,5 @@
-"""Trainings of several folders at a time: in processes of this machine, or as tasks of a Ray
-cluster, each of one core."""
+"""Trainings of several folders at a time, on one core each: in processes of this machine, or as
+tasks of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ MOST_WORKERS = 1024
 PATIENCE = 20.0
 """Seconds to wait for a process to write a last checkpoint."""
 MOST_LOSSES = 5
-"""Nodes that a training may lose one after the other without a checkpoint between them."""
+"""Nodes that a training may lose one after the other without a checkpoint in between."""
 SECONDS_TO_CONNECT = 5.0
 LOG = "worker.log"
-"""Output of the process that trained a folder."""
+"""File with the output of the process that trained a folder."""
 PROGRAM = """
 import sys
 from agents.training.launcher import end_with_parent
@@ -44,18 +44,18 @@ sys.exit(main())
 class Launcher:
     """Trains folders to their end, `count` at a time, from their newest checkpoints.
 
-    Used as a context manager: leaving it ends the trainings that still run, which write a last
-    checkpoint. They end likewise with this process, however that ends. One that fails does not stop
-    the others.
+    It is a context manager: on exit, trainings that still run write a last checkpoint and end. They
+    end in the same way when this process ends, however that happens. A training that fails does not
+    stop the others.
     """
 
     def __init__(self, count: int, train: Callable[[Path, threading.Event], str]) -> None:
-        """train: (folder, event that asks for its end) -> why it failed, or nothing."""
+        """train: (folder, event that asks the training to end) -> why it failed, or ""."""
         self.count = count
         self._train, self._ending = train, threading.Event()
         self._threads = ThreadPoolExecutor(count)
         self.jobs: dict[Path, Future[str]] = {}
-        """The trainings by folder; their results are the reasons why they failed, or nothing."""
+        """The trainings by folder; their results say why they failed, or are ""."""
 
     def submit(self, folder: Path) -> Future[str]:
         """Have a folder trained when its turn comes."""
@@ -67,22 +67,22 @@ class Launcher:
             return "not started"
         try:
             return self._train(folder, self._ending)
-        except (UserError, OSError) as error:  # of its own folder, or of one more process
+        except (UserError, OSError) as error:  # of this folder, or no further process
             return str(error)
 
     @property
     def running(self) -> list[Path]:
-        """Folders that are trained now."""
+        """Folders that are being trained."""
         return [folder for folder, job in self.jobs.items() if job.running()]
 
     @property
     def failed(self) -> dict[Path, str]:
-        """Trainings that are over and failed, and why."""
+        """Trainings that have ended with a failure, and why."""
         over = {folder: job.result() for folder, job in self.jobs.items() if job.done()}
         return {folder: why for folder, why in over.items() if why}
 
     def wait(self, on_change: Callable[[], None] = lambda: None, every: float = 1.0) -> None:
-        """Wait for all; `on_change` is called every so many seconds, and at the end."""
+        """Wait for all trainings; call `on_change` every so many seconds, and at the end."""
         while wait(self.jobs.values(), timeout=every).not_done:
             on_change()
         on_change()
@@ -102,18 +102,18 @@ def launcher(
     imports: Sequence[str] = (),
     address: str | None = None,
 ) -> Iterator[Launcher]:
-    """A launcher of an engine, put away at the end of the `with` block.
+    """Yield a launcher for an engine; it is shut down at the end of the `with` block.
 
     count: trainings at a time, by default as many as there are cores. imports: modules that each
-    process imports first. address: of the Ray cluster's head, such as 10.0.0.1:6379, or auto for
-    one of this machine; None starts one here, unless RAY_ADDRESS names one. Raises UserError for an
-    unknown engine, a missing library, and a cluster that does not answer.
+    process imports first. address: that of the Ray cluster's head, such as 10.0.0.1:6379, or auto
+    for a cluster on this machine; None starts one here, unless RAY_ADDRESS names one. Raises
+    UserError for an unknown engine, a missing library, and a cluster that does not answer.
     """
     check("workers", count, Annotated[int | None, In(1, MOST_WORKERS)])
     if engine not in ("local", "ray"):
         raise UserError(f"engine must be local or ray, got {engine!r}")
     if engine == "local" and address is not None:
-        raise UserError("address is of a Ray cluster: it needs the engine ray")
+        raise UserError("address is of a Ray cluster: it needs engine ray")
     with contextlib.ExitStack() as stack:
         most, train = cores(), functools.partial(_train_here, imports=imports)
         if engine == "ray":
@@ -123,17 +123,17 @@ def launcher(
 
 
 def cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _train_here(folder: Path, ending: threading.Event, imports: Sequence[str]) -> str:
-    """Train a folder in a process of its own; why it failed, or nothing."""
+    """Train a folder in a process of its own; return why it failed, or ""."""
     log = folder / LOG
     since = log.stat().st_size if log.exists() else 0
-    with locked(folder, PATIENCE):  # a parent that was killed may leave one that is ending
+    with locked(folder, PATIENCE):  # the process of a killed parent may still be ending
         pass
     process = start(folder, imports)
     try:
@@ -146,12 +146,12 @@ def _train_here(folder: Path, ending: threading.Event, imports: Sequence[str]) -
 
 
 def start(folder: Path, imports: Sequence[str]) -> subprocess.Popen:
-    """Start a process of one thread that trains a folder, and ends with this one."""
+    """Start a process with one thread that trains a folder, and ends with this process."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     options = [option for name in imports for option in ("--import", name)]
     with (folder / LOG).open("ab") as log:
         return subprocess.Popen(
-            # -P: else Python would look for every module in the current folder first.
+            # -P: otherwise Python would look for every module in the current folder first.
             [sys.executable, "-P", "-c", PROGRAM, "resume", str(folder), *options],
             stdout=log,
             stderr=log,
@@ -162,7 +162,7 @@ def start(folder: Path, imports: Sequence[str]) -> subprocess.Popen:
 
 
 def _end(process: subprocess.Popen) -> None:
-    """End a process that trains, with a checkpoint if it is quick."""
+    """End a training process, with a checkpoint if writing one does not take too long."""
     if process.poll() is None:
         process.terminate()
         try:
@@ -175,9 +175,9 @@ def _end(process: subprocess.Popen) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when its standard input ends, a pipe that only the parent can write to.
+    """End this process when its standard input, a pipe held only by the parent, ends.
 
-    It ends as at SIGTERM, with a checkpoint, or at once where that takes too long.
+    It ends as at SIGTERM, with a checkpoint, or at once if that takes too long.
     """
 
     def watch() -> None:
@@ -191,8 +191,8 @@ def end_with_parent() -> None:
 
 
 def _why(folder: Path, status: int, since: int = 0) -> str:
-    """Why a training failed whose process ended with a status, or nothing. since: byte at which
-    its log begins."""
+    """Return why a training failed whose process ended with a status, or "". since: byte at which
+    its part of the log begins."""
     words = _last_words(folder / LOG, since)
     if status == 0 and not finished(folder):
         return f"its process ended before the training did: {words}"
@@ -200,7 +200,7 @@ def _why(folder: Path, status: int, since: int = 0) -> str:
 
 
 def _last_words(log: Path, since: int) -> str:
-    """The last line of a process in its log from a byte on, its error if there is one."""
+    """Return the last line, or the last error, that a process wrote to its log from a byte on."""
     try:
         lines = log.read_bytes()[since:].decode(errors="replace").strip().splitlines()
     except OSError:
@@ -213,10 +213,10 @@ def _last_words(log: Path, since: int) -> str:
 def _connected(address: str | None) -> Iterator[tuple[Any, int]]:
     """Connect to a cluster, or start one on this machine; yields Ray and its number of cores.
 
-    A connection that the caller has already is used, and left.
+    An existing connection of the caller is used, and stays open.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Of a cluster that is started here: as the local processes, not below all others.
+    # For a cluster started here: the priority of local processes, not the lowest of all.
     os.environ.setdefault("RAY_worker_niceness", "0")
     ray = extra("ray", "ray")
     if ray.is_initialized():
@@ -243,7 +243,7 @@ def _cpus(ray: Any) -> int:
 
 
 def _check_reachable(address: str) -> None:
-    """Raise UserError where nothing listens at an address: Ray itself tries for minutes."""
+    """Raise UserError if nothing listens at an address: Ray itself would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         raise UserError(f"address must be HOST:PORT or auto, got {address!r}")
@@ -257,11 +257,11 @@ Files = Mapping[str, bytes]
 
 
 def _train_on_ray(ray: Any, folder: Path, ending: threading.Event, imports: Sequence[str]) -> str:
-    """Train a folder as a task of Ray; why it failed, or nothing.
+    """Train a folder as a Ray task; return why it failed, or "".
 
-    The nodes need the package, and no files in common. The task trains in a folder of its node's
-    own and sends the files that this side lacks, so that this folder is at any time one from which
-    the training can go on elsewhere: it does where a node is lost.
+    Nodes need the package, but no shared files. The task trains in a folder of its node and sends
+    the files that this side lacks, so that at any time the training can continue on another node
+    from the folder here, as it does when a node is lost.
     """
     losses = 0
     with locked(folder, PATIENCE):
@@ -281,10 +281,10 @@ def _train_on_ray(ray: Any, folder: Path, ending: threading.Event, imports: Sequ
                 ray.cancel(messages)
                 return "interrupted"
             except StopIteration:
-                return "its task ended without a word"
+                return "its Ray task ended without a status"
             except ray.exceptions.RayTaskError as error:
                 return str(error).strip().splitlines()[-1]
-            except ray.exceptions.RayError as error:  # the node is lost, or what it had sent
+            except ray.exceptions.RayError as error:  # the node, or what it had sent, is lost
                 losses += 1
                 if losses > MOST_LOSSES:
                     return f"lost {losses} nodes: {type(error).__name__}"
@@ -293,9 +293,9 @@ def _train_on_ray(ray: Any, folder: Path, ending: threading.Event, imports: Sequ
 def _train_there(
     name: str, files: Files, imports: Sequence[str]
 ) -> Iterator[tuple[Files, list[str], int | None]]:
-    """Train on a node in a folder of its own that begins with some files.
+    """Train on a node, in a temporary folder that starts with some files.
 
-    Yields the files that are new there, the names of all, and the exit status at the end.
+    Yields the files that are new there, the names of all files, and at the end the exit status.
     """
     with tempfile.TemporaryDirectory(prefix="circle2d-") as root:
         folder = Path(root) / name
@@ -316,22 +316,22 @@ def _train_there(
 
 
 def new_files(folder: Path, known: set[str], last: bool) -> tuple[Files, list[str]]:
-    """Files that the other side lacks, which are known then, and the names of all. Files are never
-    changed, but for the status, which is sent with others, and the log, at the last."""
+    """Return the files that the other side lacks, and the names of all files; add the former to
+    `known`. Files never change, except the status, sent with others, and the log, sent last."""
     names = _names(folder)
     new = [name for name in names if name not in known and name not in (STATUS, LOG)]
     changing = [STATUS] * bool(new or last) + [LOG] * last
     sent = {}
     for name in (*new, *(name for name in changing if name in names)):
-        with contextlib.suppress(FileNotFoundError):  # an old checkpoint that is gone
+        with contextlib.suppress(FileNotFoundError):  # an old checkpoint, removed meanwhile
             sent[name] = (folder / name).read_bytes()
     known.update(new)
     return sent, names
 
 
 def take_in(folder: Path, files: Files, names: Sequence[str]) -> None:
-    """Write files in an order that a killed process may stop anywhere, and remove checkpoints that
-    the other side has removed."""
+    """Write files in an order that a kill may interrupt anywhere, and remove checkpoints that the
+    other side has removed."""
     order = (STEPS, CHECKPOINTS, RESULTS)  # all else first
     ranks = {n: next((k for k, o in enumerate(order) if n.startswith(o)), -1) for n in files}
     for name in sorted(files, key=lambda name: (ranks[name], name)):
@@ -343,7 +343,7 @@ def take_in(folder: Path, files: Files, names: Sequence[str]) -> None:
 
 
 def _names(folder: Path) -> list[str]:
-    """Paths of the files in a folder, but locks and those that are being written."""
+    """Return the paths of the files in a folder, without locks and unfinished files."""
     paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
     kept = (path for path in paths if path.name != ".lock" and not path.name.endswith(UNFINISHED))
     return [path.relative_to(folder).as_posix() for path in kept]

@@ -1,4 +1,4 @@
-"""Trained policies for use outside of training, and their evaluation."""
+"""Trained policies for use outside training, and their evaluation."""
 
 from __future__ import annotations
 
@@ -59,15 +59,15 @@ from agents.training.wrappers import Bounds, CheckedEnv
 from emcc import cvar, longest_streak
 
 FOLDER = Path(__file__).parent.parent / "policies"
-"""Holds a folder `ALGORITHM/TASK` for each policy."""
+"""Folder with a folder `ALGORITHM/TASK` for each policy of the package."""
 
 
 def pretrained(algorithm: str, task: str) -> Path:
     """Return the folder of a trained policy that comes with the package.
 
-    `load_policy` and `circle2d render` take its name, "pretrained:ALGORITHM/TASK", as well.
-    `config.json` in it tells how it was trained. Raises UserError, naming what there is, for an
-    algorithm or task without one.
+    `load_policy` and `circle2d render` also take its name, "pretrained:ALGORITHM/TASK". Its
+    `config.json` tells how the policy was trained. Raises UserError, naming what there is, for an
+    algorithm or task without a policy.
     """
     there = sorted(path.parent for path in FOLDER.glob("*/*/config.json"))
     algorithms = sorted({path.parent.name for path in there})
@@ -83,39 +83,39 @@ def pretrained(algorithm: str, task: str) -> Path:
 
 
 def folder_of(given: str | os.PathLike[str]) -> Path:
-    """Return the folder given, for `pretrained:ALGORITHM/TASK` that of the package's policy."""
+    """Return the folder given, or for `pretrained:ALGORITHM/TASK` that of the package's policy."""
     kind, colon, name = Path(given).as_posix().partition(":")
     algorithm, _, task = name.partition("/")
     return pretrained(algorithm, task) if kind == "pretrained" and colon else Path(given)
 
 
 OBSERVATIONS, SIZES = 256, (0.01, 10.0)
-"""Number and smallest and largest standard deviation of the observations on which a module must act
-as its policy does."""
+"""Number, and smallest and largest standard deviation, of the observations on which the actions of
+a module must be those of its policy."""
 SAME = 1e-3
-"""Share of the bounds' range that rounding may make between them."""
+"""Largest difference by rounding between such actions, as a share of the range of actions."""
 
 
 class Policy:
     """A trained policy, which acts in its task's own action space.
 
     Call it with one observation [observation size] or a batch [N, observation size]; the action is
-    [action size] or [N, action size], of the task's type and within its bounds. It can be pickled,
-    for other processes.
+    [action size] or [N, action size], of the task's type and within its bounds. Policies can be
+    pickled, for other processes.
     """
 
     task: str
-    """Id of the task it was trained on."""
+    """Id of the task that the policy was trained on."""
     task_parameters: dict[str, Any]
     seed: int
     """Seed of its run."""
     step: int | None
-    """Environment steps that its run had taken; for a policy saved by `evaluate_every` the `step`
-    of `load_policy`. None where they were not recorded, as in policies of the package."""
+    """Environment steps that its run had taken; for a policy kept by `evaluate_every` the `step`
+    given to `load_policy`. None if not recorded, as in policies of the package."""
     failure: str
-    """Why its run failed; else empty."""
+    """Why its run failed; "" if it did not."""
     spaces: Spaces
-    """Sizes, and bounds of actions."""
+    """Size of observations, and bounds of actions."""
     in_lockstep: RunsPolicy
     """The policy as training calls it, with actions in [-1, 1]."""
 
@@ -128,7 +128,7 @@ class Policy:
         spaces: Spaces,
         learner: Learner,
     ) -> None:
-        """learner: holds the one run."""
+        """learner: holds only this run."""
         self.task, self.task_parameters = run.task, config.task_parameters
         self.seed, self.step, self.failure = run.seed, step, failure
         self.spaces, self.in_lockstep = spaces, learner.policy()
@@ -150,9 +150,9 @@ class Policy:
     ) -> NDArray:
         """Act on one observation or a batch.
 
-        deterministic: take the centre of the distribution; otherwise draw from it, with `rng`, by
-        default a generator of the policy's own, which no seed determines. Raises ValueError for an
-        observation of another shape.
+        deterministic: take the centre of the distribution of actions instead of drawing from it.
+        rng: generator of the draws, by default one of the policy, which is not seeded.
+        Raises TypeError unless observations are real numbers, ValueError for a wrong shape.
         """
         observations, alone = self._batch(observation)
         noise = None
@@ -163,9 +163,9 @@ class Policy:
         return action[0] if alone else action
 
     def wrap(self, env: gym.Env | VectorEnv) -> Any:
-        """An Env or a VectorEnv of its task as the policy sees it: what its algorithm adds to
-        observations, such as what is left of Sauté's budget, stands behind them. Most algorithms
-        add nothing, and the environment is returned as it is."""
+        """Return an Env or a VectorEnv of the task as the policy sees it: observations end with
+        what its algorithm adds, such as the remaining budget of Sauté. Most algorithms add nothing,
+        and the environment is returned as it is."""
         return self._config.wrap(env, self.task)
 
     def predict(
@@ -176,18 +176,18 @@ class Policy:
         state: None = None,
         episode_start: Any = None,
     ) -> tuple[NDArray, None]:
-        """`(action, None)`, as Stable-Baselines3's `evaluate_policy` asks for it, but deterministic
-        by default. A policy has no memory: state is None, and where episodes start is ignored."""
+        """Return `(action, None)`, as `evaluate_policy` of Stable-Baselines3 expects; deterministic
+        by default. A policy has no memory: `state` must be None, and `episode_start` is ignored."""
         if state is not None:
             raise TypeError(f"state must be None: a policy has no memory, got {state!r}")
         return self(observation, deterministic), None
 
     def to_torch(self) -> nn.Module:
-        """The deterministic policy as a module: observations [..., size] -> actions [..., size].
+        """Return the deterministic policy as a module from observations to actions, [..., size].
 
-        Equal to the policy itself up to rounding in float32, rescaling and bounds included. Raises
-        UserError for a family of algorithms that does not offer one, and where its actions on some
-        observations are not the policy's.
+        It equals the policy itself, rescaling and bounds included, up to rounding in float32.
+        Raises UserError for a family of algorithms without such a module, and if the module's
+        actions differ from the policy's on some test observations.
         """
         if self._module is None:
             raise UserError(f"{self!r} has no module: its Learner has no method `module`")
@@ -196,13 +196,13 @@ class Policy:
         return module
 
     def bounded(self, net: nn.Module) -> nn.Module:
-        """A network of actions in [-1, 1], as a module of actions within the task's bounds."""
+        """Turn a network of actions in [-1, 1] into a module of actions in the task's bounds."""
         return _Bounded(net, self._bounds.low, self._bounds.high)
 
     def check_same(self, module: nn.Module, words: str) -> None:
-        """Raise UserError where the actions of a module on some observations are not the policy's:
-        what a Learner's `policy` does beside its network, such as a projection of actions, is lost.
+        """Raise UserError if the actions of a module on some observations are not the policy's.
 
+        That happens if a Learner's `policy` does more than its network, such as projecting actions.
         words: what the module is.
         """
         shape = (OBSERVATIONS, self.spaces.observation_size)
@@ -214,17 +214,17 @@ class Policy:
         if found.shape != ours.shape:
             raise UserError(f"{words} gives actions {list(found.shape)}, not {list(ours.shape)}")
         far = np.abs(found - ours) > SAME * (self._bounds.high - self._bounds.low)
-        unlike = far | (np.isnan(found) != np.isnan(ours))  # one that diverged is equal to itself
+        unlike = far | (np.isnan(found) != np.isnan(ours))  # NaN equals NaN here
         if unlike.any():
             k = int(unlike.any(axis=-1).argmax())
             raise UserError(
-                f"{self!r} acts otherwise than {words}: on {observations[k].tolist()} "
+                f"{self!r} acts differently from {words}: on {observations[k].tolist()} it gives "
                 f"{ours[k].tolist()}, not {found[k].tolist()}. A module must do all that the "
-                "Learner's `policy` does; `load_policy` does it in any case"
+                "Learner's `policy` does; use `load_policy`, which does it in any case"
             )
 
     def _batch(self, observation: ArrayLike) -> tuple[NDArray[np.float32], bool]:
-        """Observations as [N, size], and whether one was given alone."""
+        """Return observations as [N, size], and whether a single one was given."""
         size = self.spaces.observation_size
         given = np.asarray(observation)
         if given.dtype.kind not in "biuf":
@@ -238,7 +238,7 @@ class Policy:
 
 
 class _Bounded(nn.Module):
-    """A network of actions in [-1, 1], clipped to them and rescaled to the bounds of a task."""
+    """A network of actions in [-1, 1], clipped to this range and rescaled to a task's bounds."""
 
     low: Tensor
     high: Tensor
@@ -252,7 +252,7 @@ class _Bounded(nn.Module):
     def forward(self, observation: Tensor) -> Tensor:
         share = (self.net(observation).clamp(-1.0, 1.0) + 1.0) / 2.0
         action = self.low + (self.high - self.low) * share
-        return action.clamp(self.low, self.high)  # which rounding may lead beyond
+        return action.clamp(self.low, self.high)  # rounding may lead beyond
 
 
 @no_exit()
@@ -266,11 +266,12 @@ def load_policy(
 
     folder: that of the runs, or "pretrained:ALGORITHM/TASK", such as
         "pretrained:sac-lb-streak/Circle2D-2-v0".
-    seed, task: of the run; each may be left out where there is only one.
-    step: a multiple of the training's `evaluate_every`, for the policy of that time; by default
-        that of the newest checkpoint.
+    seed, task: those of the run; each may be left out if there is only one.
+    step: a multiple of the training's `evaluate_every`, for the policy kept then; by default the
+        policy of the newest checkpoint.
 
-    Needs neither the task's environment nor the replay. Raises UserError for what is not there.
+    Needs neither the task's environment nor the replay buffer. Raises UserError if the folder, the
+    run or the policy does not exist.
     """
     folder, step = folder_of(folder), as_integer(step)
     check("step", step, int | None)
@@ -284,7 +285,7 @@ def load_policy(
         fresh = learner.state_dict()
         for name, array in arrays.items():
             like = fresh[name]
-            if not name.startswith("replay."):  # whose length is that of the training
+            if not name.startswith("replay."):  # their length depends on the training
                 tree.expect(name, arrays, like.shape, like.dtype)
             fresh[name] = array
         learner.load_state_dict(fresh)
@@ -295,16 +296,16 @@ def load_policy(
 
 
 def bare(task: str) -> str:
-    """The id of a task without its module or the package's name before it."""
+    """Return the id of a task without the module or the package's name before it."""
     return re.split("[:/]", task)[-1]
 
 
 def chosen_run(
     folder: object, config: TrainConfig, seed: int | None = None, task: str | None = None
 ) -> RunId:
-    """The run of a seed and a task, or the only one. Raises UserError where there is none such.
+    """Return the run of a seed and a task, or the only run. Raises UserError if there is none.
 
-    task: also without its module, the package's name before it, or its version.
+    task: also without module, package name or version.
     """
     known = {task: bare(task) for task in config.tasks}
     meant = task and bare(task)
@@ -325,11 +326,11 @@ def chosen_run(
 def read_policy_arrays(
     folder: Path, config: TrainConfig, run: RunId, step: int | None = None
 ) -> tuple[dict[str, NDArray], int | None, str]:
-    """The arrays of the policy of one run, each [1, ...]; the steps that the run had taken, None
-    where they were not recorded; and why it failed, if it did.
+    """Read a run's policy: its arrays, each [1, ...]; the environment steps that the run had taken,
+    None if not recorded; and why the run failed, "" if it did not.
 
-    step: of a policy kept on the way; None for the newest checkpoint, of which nothing else is
-    read. Raises UserError where there is no such policy.
+    step: that of a policy kept during training; None for the newest checkpoint, of which nothing
+    else is read. Raises UserError if there is no such policy.
     """
     if step is not None:
         path = policy_path(folder, run, step)
@@ -346,7 +347,7 @@ def read_policy_arrays(
         raise UserError(f"{folder} has no checkpoint yet")
     state, k = Arrays(checkpoints[-1]), config.runs.index(run)
     names = [name for name in state if is_of_policy(name)]
-    # A family without the convention: all of its state.
+    # A family that does not follow the convention of `Learner`: all of its state.
     names = names or [name for name in state if name not in COUNTERS]
     arrays = {name: state[name][k : k + 1] for name in names}
     steps = int(state["steps"][k]) if "steps" in state else None
@@ -357,22 +358,22 @@ def read_policy_arrays(
 class Evaluation:
     """Results of the episodes of an evaluation.
 
-    The arrays are [episodes]; of a folder they are [runs, episodes], runs in the order of its
+    The arrays are [episodes]; for a folder they are [runs, episodes], with runs in the order of its
     tasks and seeds.
     """
 
     task: str
-    """The task; of several all, with spaces between them."""
+    """The task, or several, with spaces between them."""
     seeds: tuple[int, ...]
-    """Seed of each run of a folder, or of the policy's run; empty for any other policy."""
+    """Seed of each run of a folder, or of a policy's run; empty for a function."""
     returns: NDArray[np.float64]
     """Undiscounted sum of the rewards of each episode."""
     costs: NDArray[np.float64]
-    """Undiscounted sum of the costs."""
+    """Undiscounted sum of the costs of each episode."""
     lengths: NDArray[np.int64]
-    """Steps."""
+    """Environment steps of each episode."""
     longest_streaks: NDArray[np.int64]
-    """Longest streak of consecutive steps with a cost, in steps."""
+    """Longest streak of consecutive steps with a cost in each episode, in steps."""
 
     def __repr__(self) -> str:
         runs = f"runs={len(self.returns)}, " if self.returns.ndim > 1 else ""
@@ -417,15 +418,19 @@ def evaluate(
     task_parameters: dict[str, Any] | None = None,
     cost: str = "cost",
 ) -> Evaluation:
-    """Play whole episodes with a policy, or with those of a folder of runs. Writes nothing.
+    """Play whole episodes with a policy, or with the policies of a folder of runs. Writes nothing.
 
-    policy: what `load_policy` returned, a folder, runs, or any function of one observation to an
-    action of the task. task: a gymnasium id with `info["cost"]`, by default the policy's own, with
-    its `task_parameters`; required for a function. deterministic: for policies and folders;
-    otherwise actions are drawn. seed: of the start states and draws, the same for all runs of a
-    folder. cost: its name in the infos. Runs of a folder that failed are left out with a warning.
-    Raises UserError where the task does not fit the policy, and where every run failed; TaskFailure
-    for rewards and costs that are not finite, and for negative costs.
+    policy: what `load_policy` returned, a folder, runs, or a function from an observation to an
+    action of the task.
+    task: a gymnasium id with `info["cost"]`, required for a function; by default the policy's own
+    task, with its `task_parameters`.
+    deterministic: whether policies and folders act without noise; otherwise actions are drawn.
+    seed: that of start states and draws, the same for all runs of a folder.
+    cost: its name in the infos.
+
+    Runs of a folder that failed are left out with a warning. Raises UserError if the task does not
+    fit the policy, or every run failed; TaskFailure if rewards or costs are not finite, or costs
+    negative.
     """
     episodes = as_integer(episodes)
     check("episodes", episodes, Annotated[int, In(1)])
@@ -450,7 +455,7 @@ def evaluate(
         raise TypeError(f"policy must be a policy, a function or a folder, got {policy!r}")
     own = policy if isinstance(policy, Policy) else None
     if task is None and own is None:
-        raise UserError("evaluate needs the task where the policy is a function")
+        raise UserError("evaluate needs the task if the policy is a function")
     name = task_id(task) if task is not None else own.task if own else ""
     if own and task_parameters is None and bare(name) == bare(own.task):
         task_parameters = own.task_parameters
@@ -480,7 +485,7 @@ def evaluate(
 def _episode(
     env: gym.Env, act: Callable[[NDArray], Any], seed: int, cost: str
 ) -> tuple[float, float, int, int]:
-    """Return, cost, length and longest streak of an episode."""
+    """Play an episode: its return, cost, length and longest streak."""
     observation, _ = env.reset(seed=seed)
     rewards, costs, over = [], [], False
     most = most_steps(env.spec.max_episode_steps if env.spec else None)
@@ -500,7 +505,7 @@ def _episode(
 
 
 def _check_action(action: Any, space: gym.Space) -> None:
-    """Raise UserError for an action that a policy must not give; bounds are the task's affair."""
+    """Raise UserError for an action not finite or of a wrong shape; the task checks its bounds."""
     given = np.asarray(action)
     if given.dtype.kind not in "biuf" or not np.isfinite(given).all():
         raise UserError(f"the policy gives an action that is not finite: {action!r}")

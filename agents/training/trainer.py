@@ -1,4 +1,4 @@
-"""The training of a folder's runs. It can be killed at any moment and goes on from its newest
+"""The training of a folder's runs. It can be killed at any moment, and resumes from its newest
 checkpoint."""
 
 from __future__ import annotations
@@ -59,23 +59,23 @@ from agents.training.wrappers import SideBySide
 from emcc import longest_streaks
 
 KEPT = 2
-"""Checkpoints of a folder: the newest, and the one before in case that is damaged."""
+"""Checkpoints kept in a folder: the newest, and the one before in case the newest is damaged."""
 WRITING_SHARE = 0.02
 """Share of the time that writing checkpoints may take."""
 Callback = Callable[["Trainer"], object]
-"""Called after every epoch. False, be it numpy's, stops the training after a checkpoint."""
+"""Called after every epoch; False (also `np.False_`) stops the training after a checkpoint."""
 
 
 @no_exit()
 def train(folder: Path, *own: Callback, config: TrainConfig | None = None) -> Trainer:
     """Train the runs of a folder to their end, from the newest checkpoint if there is one.
 
-    The folder is one that `TrainConfig.write` made. own: further callbacks. config: of the folder,
-    where the caller has it. Changes torch's threads
-    and the kernel of networks for the process (`backend.configure`). NumPy has one thread
-    meanwhile: its idle threads spin, which made two trainings side by side on two cores nine times
-    slower. Ends with an evaluation and `results.npz`, unless these are there or a callback stopped
-    it. Raises UserError where another process trains there, and as `check_unchanged`.
+    folder: made by `TrainConfig.write`. own: further callbacks. config: that of the folder, if the
+    caller has it. Changes PyTorch's threads and the kernel of networks for the process
+    (`backend.configure`). NumPy has one thread meanwhile: its idle threads spin, which made two
+    trainings side by side on two cores nine times slower. Ends with an evaluation and
+    `results.npz`, unless they exist or a callback stopped the training. Raises UserError if another
+    process trains there, and as `check_unchanged`.
     """
     config = config or TrainConfig.read(folder)
     backend.configure(config.backend)
@@ -95,8 +95,8 @@ def train(folder: Path, *own: Callback, config: TrainConfig | None = None) -> Tr
 
 
 def check_unchanged(folder: Path, config: TrainConfig) -> None:
-    """Raise UserError where a task of a folder's runs fails in its first step, or has other spaces
-    than when they began: they would fail for good, or go on with actions of another scale."""
+    """Raise UserError if a task of a folder's runs fails in its first step, or has other spaces
+    than when the runs began: they would fail for good, or go on with actions of another scale."""
     for task in config.tasks:
         check_task(task, config.task_parameters, config.task_costs)
     before, now = read_spaces(folder), spaces_of(config.tasks, config.task_parameters, config.wrap)
@@ -108,7 +108,7 @@ def check_unchanged(folder: Path, config: TrainConfig) -> None:
 
 
 def check_longer(folder: Path, steps: int) -> None:
-    """Raise UserError where the runs of a folder cannot be trained up to so many steps."""
+    """Raise UserError if the runs of a folder cannot be trained up to so many steps."""
     check("steps", steps, Annotated[int, In(1)])
     config = TrainConfig.read(folder)
     if steps < config.steps:
@@ -118,17 +118,16 @@ def check_longer(folder: Path, steps: int) -> None:
 
 
 def lengthen(folder: Path, steps: int) -> None:
-    """Make the training of a folder one of more steps, which then goes on as if it had been from
-    the start.
+    """Make a folder's training longer; it then continues as if it had been so from the start.
 
-    Runs that were done and waited for others catch up first. Raises as `check_longer`. No setting
-    depends on the number of steps.
+    Runs that were done and waited for others catch up first. No setting depends on the number of
+    steps. Raises as `check_longer`.
     """
     check_longer(folder, steps)
     with locked(folder):
         if steps == TrainConfig.read(folder).steps:
             return
-        # In this order a kill leaves the old training, to be resumed, or the new one.
+        # In this order, a kill leaves either the old training, to be resumed, or the new one.
         (folder / RESULTS).unlink(missing_ok=True)
         write_json(folder / CONFIG, read_json(folder / CONFIG) | {"steps": steps})
 
@@ -142,7 +141,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def _texts(arrays: Mapping[str, NDArray], name: str, shape: tuple[int, ...]) -> NDArray[np.object_]:
-    """Strings of any length. KeyError where they are missing, ValueError for anything else."""
+    """Return strings of any length. Raises KeyError if missing, ValueError if they do not fit."""
     found = arrays[name]
     if found.shape != shape or found.dtype.kind != "U":
         given = f"{list(found.shape)} {found.dtype}"
@@ -158,23 +157,23 @@ class Trainer:
         self._sizes = read_spaces(folder).sizes
         count = len(config.runs)
         self.epochs = np.zeros(count, dtype=np.int64)
-        """Epochs each run has begun, [R]: one that is done waits for the others, and in a longer
-        training catches up."""
+        """Epochs that each run has begun, [R]. A run that is done waits for the others; if the
+        training is made longer, it catches up."""
         self.steps = np.zeros(count, dtype=np.int64)
-        """Environment steps each run has taken, [R]."""
+        """Environment steps that each run has taken, [R]."""
         self.learner: Learner = self._learner(config.stream_seeds)
         self.recorder = Recorder(
             config.runs, self.learner.episodes, self.learner.metrics, config.costs
         )
         self.failures = np.full(count, "", dtype=object)
-        """Why runs have stopped that met an error of their task, a NaN or an infinite number, [R];
-        the others go on."""
+        """Why each run has failed, by an error of its task, a NaN or an infinite number, [R]; ""
+        for all others, which go on."""
         self.tracebacks = np.full(count, "", dtype=object)
-        """Tracebacks of these errors, [R]."""
+        """Tracebacks of the tasks' errors, [R]."""
         self.cause: BaseException | None = None
-        """The first of these errors that this process met."""
+        """The first error of a task that this process met."""
         self.stopped = False
-        """Whether a callback stopped it."""
+        """Whether a callback stopped the training."""
         self._saved_at, self._writing = time.monotonic(), 0.0
         own = config.algorithm not in BUILT_IN and count > 1
         self._alone = self._learner(config.stream_seeds[:1]) if own else None
@@ -201,12 +200,12 @@ class Trainer:
         return not self.active.any()
 
     def run(self, own: tuple[Callback, ...]) -> None:
-        """Go on until all runs are done or a callback returns False, and save them."""
+        """Train until all runs are done or a callback returns False, and save the runs."""
         saved = True
         while not self.done and not self.stopped:
             before = self.steps.copy()
             self.run_epoch()
-            answers = [callback(self) for callback in own]  # written before a checkpoint
+            answers = [callback(self) for callback in own]  # they write before the checkpoint
             self.stopped = any(isinstance(a, (bool, np.bool_)) and not a for a in answers)
             saved = self._is_due(before)
             if saved:
@@ -215,7 +214,7 @@ class Trainer:
             self.save()
 
     def _is_due(self, before: NDArray[np.int64]) -> bool:
-        """Whether to save: at the end, and where a run has passed a multiple of `checkpoint_every`
+        """Whether to save: at the end, and when a run has passed a multiple of `checkpoint_every`,
         unless writing would take more than its share of the time."""
         if self.done:
             return True
@@ -225,8 +224,8 @@ class Trainer:
         return bool(passed and since * WRITING_SHARE >= self._writing)
 
     def run_epoch(self) -> None:
-        """Collect the episodes of an epoch of every active run, and learn from them: of the runs
-        that are the most epochs behind, which are all unless they catch up."""
+        """Collect an epoch's episodes and learn from them. If some runs lag in epochs, as when runs
+        catch up, only those with the fewest epochs take part; otherwise all active runs."""
         config, learner, episodes = self.config, self.learner, self.learner.episodes
         active = self.active
         epoch = int(self.epochs[active].min())
@@ -248,7 +247,7 @@ class Trainer:
         self.epochs += active
 
     def _recorded(self) -> list[dict[str, NDArray[np.float32]]]:
-        """Arrays [T, E, ...] that each run's environments recorded of their steps, by name."""
+        """Return what each run's environments recorded at each step, arrays [T, E, ...] by name."""
         recorded, seeds = [], len(self.config.seeds)
         for part in self._envs.parts:
             split = {name: np.split(c, seeds, axis=1) for name, c in part.recorded.items()}
@@ -258,7 +257,7 @@ class Trainer:
     def _note_failures(
         self, rollout: Rollout, active: NDArray[np.bool_], finite: NDArray[np.bool_]
     ) -> None:
-        """Stop the runs whose task failed, and those that met or hold a number not finite."""
+        """Stop the runs whose task failed, and those that met or hold non-finite numbers."""
         causes = rollout.failure.reshape(len(active), -1)
         for run in np.flatnonzero(active):
             own = "" if finite[run] else "update"
@@ -272,7 +271,7 @@ class Trainer:
 
     @contextlib.contextmanager
     def _own_code(self, does: str) -> Iterator[None]:
-        """Name the algorithm in an error of its code."""
+        """Name the algorithm in errors of its code, as OwnCodeError."""
         try:
             yield
         except UserError:
@@ -283,8 +282,9 @@ class Trainer:
             raise OwnCodeError(words) from error
 
     def _learn(self, rollout: Rollout, epoch: int, learning: NDArray[np.bool_]) -> NDArray:
-        """Learn from an epoch. Raises UserError where one of the first two updates of the user's
-        own algorithm depends on the other runs. In the first all multipliers are equal."""
+        """Learn from an epoch. Raises UserError if one of the first two updates of a user's own
+        algorithm depends on other runs; the second is compared since all multipliers are equal in
+        the first."""
         metrics = self.learner.learn(rollout, epoch, learning)
         if self._alone is None:
             return metrics
@@ -296,9 +296,9 @@ class Trainer:
                 beside = beside[:, : array.shape[1]] if array.ndim > 1 else beside
                 if not np.allclose(array, beside, rtol=1e-3, equal_nan=True):
                     raise UserError(
-                        f"algorithm {self.config.algorithm!r} trains a run otherwise among others "
-                        f"than alone ({name} differs): does it reduce over the first axis, that of "
-                        "runs? A mean over a batch is x.mean(dim=-1), in a surrogate "
+                        f"algorithm {self.config.algorithm!r} trains a run differently beside "
+                        f"others than alone ({name} differs): does it reduce over the first axis, "
+                        "the runs? A mean over a batch is x.mean(dim=-1), in a surrogate "
                         "agents.first_order.mean(batch, x)"
                     )
             self._compared += 1
@@ -307,10 +307,10 @@ class Trainer:
         return metrics
 
     def save(self) -> None:
-        """Write what is new, then the checkpoint; of the older ones the newest stays."""
+        """Write the new steps, then a checkpoint; keep the `KEPT` newest checkpoints."""
         began = time.monotonic()
-        # A run whose first action fails has taken no step since the last.
-        # File number: steps of the slowest running run; at the end, the most steps of any.
+        # File number: steps of the active run with the fewest; at the end, the most of any run. It
+        # must increase, but a run whose first action fails has taken no step since the last file.
         steps = self.steps.max() if self.done else self.steps[self.active].min()
         number = max(int(steps), 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
         texts = (self.failures.astype(np.str_), self.tracebacks.astype(np.str_))
@@ -325,10 +325,9 @@ class Trainer:
         self._writing = self._saved_at - began
 
     def load(self) -> None:
-        """Load the newest checkpoint that opens and whose steps are there, and drop what was
-        written behind it.
+        """Load the newest checkpoint that is undamaged and whose steps exist; remove later files.
 
-        Warns of damaged ones. Raises UserError where there are some and none is whole.
+        Warns of damaged checkpoints. Raises UserError if all are damaged.
         """
         checkpoints = numbered(self.folder, CHECKPOINTS)
         last: UserError | None = None
@@ -357,7 +356,7 @@ class Trainer:
             (self.folder / RESULTS).unlink(missing_ok=True)
 
     def _check_steps(self, number: int) -> None:
-        """Raise UserError where the files of steps up to a checkpoint do not hold its steps."""
+        """Raise UserError if the files of steps up to a checkpoint do not hold the runs' steps."""
         recorded = derive.steps_recorded(self.folder, self.config, number)
         going = self.failures == ""  # the epoch in which a run failed is not recorded
         if not np.array_equal(recorded[going], self.steps[going]):
@@ -367,7 +366,7 @@ class Trainer:
             )
 
     def _load(self, state: Arrays) -> None:
-        """Load a checkpoint. Raises UserError where it is damaged."""
+        """Load a checkpoint. Raises UserError if it is damaged."""
         try:
             content = dict(state)
             self.learner.load_state_dict(content)
@@ -391,13 +390,13 @@ class Trainer:
 
 
 RECENT = 20
-"""Epochs over which progress shows means."""
+"""Number of epochs over which progress shows means."""
 
 
 class Recorder:
-    """Steps, episodes and updates of every run since `take`.
+    """Records of every run's steps, episodes and updates since the last `take`.
 
-    Arrays of a run, below its prefix: of every step "costs/NAME" [steps] and what its task's
+    Arrays of a run, whose names begin with its prefix: for every step "costs/NAME" [steps] and what
     environments record (`RecordSteps.recorded`), "positions" [steps, 2] and "info/NAME" [steps];
     "length" and "return" of every episode; "updates" [epochs, metrics], NaN where nothing was
     learned.
@@ -406,13 +405,13 @@ class Recorder:
     def __init__(
         self, runs: Sequence[RunId], episodes: int, metrics: Sequence[str], costs: Sequence[str]
     ) -> None:
-        """episodes: of a run in an epoch; metrics: names of the numbers of an update."""
+        """episodes: number per run and epoch; metrics: names of the numbers of an update."""
         self.runs, self.episodes, self.metrics, self.costs = runs, episodes, metrics, costs
         self._new: dict[str, list[NDArray]] = {}
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
         self.latest: dict[RunId, dict[str, float]] = {}
-        """Numbers of the last epoch of each run that took part: "return", "length", the costs by
-        their names (means over its episodes), "mcc", and the metrics that are there."""
+        """Numbers of the last epoch for each run that took part: means over its episodes of
+        "return", "length" and the costs by their names; "mcc"; and the metrics that are not NaN."""
 
     def add(
         self,
@@ -423,8 +422,8 @@ class Recorder:
     ) -> None:
         """Add an epoch.
 
-        rollout: of R·E episodes; recorded: arrays [T, E, ...] for each run; active: [R], runs that
-        took part; metrics: [R, metrics] of their updates.
+        rollout: R·E episodes; recorded: arrays [T, E, ...] of each run; active: [R], runs that took
+        part; metrics: [R, metrics] of their updates.
         """
         shape = (len(self.runs), self.episodes)
         lengths, returns = rollout.length.reshape(shape), rollout.returns.reshape(shape)
@@ -457,14 +456,14 @@ class Recorder:
         self._new.setdefault(run.prefix + name, []).extend(rows)
 
     def take(self) -> dict[str, NDArray]:
-        """The new arrays by name; they are forgotten here."""
+        """Return the new arrays by name, and forget them."""
         arrays = {name: np.concatenate(rows) for name, rows in self._new.items()}
         self._new = {}
         return {"metrics": np.array(self.metrics, dtype=np.str_), **arrays}
 
     @property
     def recent(self) -> tuple[float, float]:
-        """Return and cost of the last epochs' episodes, means; NaN before the first."""
+        """Mean return and cost of the last `RECENT` epochs' episodes; NaN before the first."""
         if not self._recent:
             return np.nan, np.nan
         returns, costs = np.mean(self._recent, axis=0)

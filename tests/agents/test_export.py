@@ -155,7 +155,7 @@ def normed(bias):
     return Family
 
 
-@pytest.mark.parametrize(("bias", "words"), [(True, "acts otherwise"), (False, "Linear with bias")])
+@pytest.mark.parametrize(("bias", "words"), [(True, "differently"), (False, "Linear with bias")])
 def test_what_a_file_would_lack_is_refused(bias, words, tmp_path):
     """The module is the policy; the layers that a file holds are not, or lack a bias."""
     rule = Algorithm("Toy", toy_family.Numbers, toy_family.Rule(), normed(bias))

@@ -486,7 +486,7 @@ def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, optio
     with two_families():
         epochs = []
         more = OPTIONS | options | {"out": tmp_path / "x", "on_epoch": epochs.append}
-        with pytest.raises(UserError, match=f"'{algorithm}' trains a run otherwise among others"):
+        with pytest.raises(UserError, match=f"'{algorithm}' trains a run differently beside"):
             agents.train(algorithm, "Walk-v0", **more)
         assert len(epochs) < 4
         agents.train(algorithm, "Walk-v0", **OPTIONS | options | {"seeds": 0})

@@ -127,7 +127,7 @@ def test_a_module_must_act_as_the_policy_does(family, tmp_path, monkeypatch):
         # Steep, so that the projection is seen.
         assert np.abs(policy(100 * OBSERVATIONS)).max() == 1
         if family is Projected:
-            with pytest.raises(agents.UserError, match=r"Policy.*acts otherwise than the module"):
+            with pytest.raises(agents.UserError, match=r"Policy.*acts differently from the module"):
                 policy.to_torch()
             return
         found = policy.to_torch()(torch.tensor(OBSERVATIONS, dtype=torch.float32))
