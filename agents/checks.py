@@ -1,4 +1,4 @@
-"""Settings that say at the field what is allowed."""
+"""Dataclasses of settings whose fields declare the values allowed, and their checks."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import numpy as np
 from agents.errors import UserError
 
 MOST = 2**40
-"""Largest integer where a field names no other."""
+"""Largest integer, unless a field declares another bound."""
 TOO_LARGE = f"at most {MOST}"
 
 
 @dataclasses.dataclass(frozen=True)
 class In:
-    """The numbers that a field allows, as `Annotated[float, In(0, 1)]`; `above` is excluded."""
+    """The numbers that a field allows, as in `Annotated[float, In(0, 1)]`; `above` is excluded."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -37,14 +37,14 @@ class In:
 class Settings:
     """Base of a frozen dataclass whose values are checked against the types of its fields.
 
-    Checked are numbers (by `In`, if it stands beside the type), bool, Literal, tuples of numbers,
-    and unions of these. Numbers of numpy become Python's, and whole floats integers where these are
-    asked for, as 1e6 on the command line. A class with rules between its fields adds them to
-    `__post_init__`.
+    It checks numbers (with the bounds of `In`, if the annotation has it), bool, Literal, tuples of
+    numbers, and unions of these. NumPy's numbers become Python's, and whole floats, such as 1e6 on
+    the command line, become integers where the type is int. A class with rules between fields adds
+    them to `__post_init__`.
     """
 
     def __post_init__(self) -> None:
-        """Raises UserError naming the field, the value, and what is allowed."""
+        """Check the values. Raises UserError naming the field, the value, and what is allowed."""
         for name, value in list(vars(self).items()):
             object.__setattr__(self, name, _plain(value))
         for name, hint in _hints(type(self)).items():
@@ -53,8 +53,8 @@ class Settings:
 
 
 def as_integer(value: Any, hint: Any = int) -> Any:
-    """A whole number that is a float, such as 1e6, as an integer where the type asks for one; any
-    other value as it is."""
+    """Return a whole float, such as 1e6, as an integer if the type is int; any other value as it
+    is."""
     kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     kinds = [get_args(k)[0] if get_origin(k) is Annotated else k for k in kinds]
     asked = int in kinds and float not in kinds
@@ -62,7 +62,7 @@ def as_integer(value: Any, hint: Any = int) -> Any:
 
 
 def check(name: str, value: Any, hint: Any) -> None:
-    """Raise UserError naming an argument, its value and what is allowed, as of a field."""
+    """Raise UserError naming an argument, its value and what is allowed, if it is not allowed."""
     if problem := _problem(_plain(value), hint):
         raise UserError(f"{name} must be {problem}, got {value!r}")
 
@@ -79,13 +79,13 @@ def _plain(value: Any) -> Any:
 def _hints(cls: type) -> dict[str, Any]:
     try:
         hints = get_type_hints(cls, include_extras=True)
-    except NameError:  # a class within a function names what no module has: nothing to check by
+    except NameError:  # a local class may use names that its module lacks
         return {}
     return {field.name: hints[field.name] for field in dataclasses.fields(cls)}  # pyright: ignore
 
 
 def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
-    """The rule that a value breaks and the value, in words; empty where it is allowed."""
+    """Return what a value must be, in words; "" if the value is allowed."""
     if get_origin(hint) is Annotated:
         hint, *marks = get_args(hint)
         bounds = next((mark for mark in marks if isinstance(mark, In)), bounds)
@@ -119,7 +119,7 @@ def _no_number(value: Any, kind: type, bounds: In) -> str:
         return "an integer" if kind is int else "a finite number"
     try:
         finite = math.isfinite(value)
-    except OverflowError:  # an integer beyond all floats
+    except OverflowError:  # an integer larger than any float
         finite = False
     if not finite:
         return "a finite number"

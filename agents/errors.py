@@ -1,4 +1,4 @@
-"""Mistakes of the user, and errors of the user's own code."""
+"""Exceptions for mistakes of users and for errors of their own code, and words for messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OWN_ERRORS = (Exception, SystemExit)
 
 
 class UserError(ValueError):
-    """A mistake of the user. The message names the thing, the value given, and those allowed.
+    """A mistake of the user. The message names the thing, the value given, and what is allowed.
 
     The command line prints it as one line and exits with status 2.
     """
@@ -37,20 +37,20 @@ class OwnCodeError(UserError):
 
 
 class RunsFailed(UserError):
-    """Trainings that failed, all else being done. The command line exits with status 1."""
+    """Some trainings failed; all others are done. The command line exits with status 1."""
 
 
 class FailedRunWarning(UserWarning):
-    """A run that failed, all else being done. The command line names it at the end instead."""
+    """A run failed; all others are done. The command line names the run at the end instead."""
 
 
 class HelpShown(SystemExit):
-    """The end of a command that was asked for its help."""
+    """Ends a command that was asked for its help."""
 
 
 @contextlib.contextmanager
 def no_exit() -> Iterator[None]:
-    """Raise OwnCodeError for `sys.exit` in the user's own code, wherever that is called."""
+    """Raise OwnCodeError for `sys.exit` in the user's own code, wherever it is called."""
     try:
         yield
     except HelpShown:
@@ -60,11 +60,11 @@ def no_exit() -> Iterator[None]:
 
 
 class TaskFailure(OwnCodeError):
-    """An environment that failed while it was made, reset or stepped."""
+    """An environment failed while it was made, reset or stepped."""
 
 
 def traced(error: BaseException | None) -> str:
-    """The traceback of an error of the user's own code; "" where it is not one."""
+    """Return the traceback of an error of the user's own code; "" for any other error."""
     if error is None or isinstance(error, UserError):
         return ""
     if isinstance(error, RemoteTraceback):
@@ -73,7 +73,7 @@ def traced(error: BaseException | None) -> str:
 
 
 class RemoteTraceback(Exception):
-    """The traceback of an error in another process, which no pickle holds."""
+    """Holds the traceback of an error in another process, which pickles do not keep."""
 
     def __str__(self) -> str:
         return f'\n"""\n{self.args[0]}"""'
@@ -92,12 +92,12 @@ def _with_cause(
 OURS = tuple(str(Path(__file__).parents[1] / name) for name in ("agents", "circle2d_mj", "emcc"))
 """Folders of this package, whose frames are not the user's."""
 BETWEEN = ("importlib", "concurrent", "contextlib.py", "_ufunc_config.py")
-"""Parts of Python, numpy and torch that stand between code that imports or calls and what is
-imported or called, as decorators do."""
+"""Parts of paths in Python, NumPy and PyTorch whose frames lie between a caller and what it calls
+or imports, as those of decorators do."""
 
 
 def described(error: BaseException) -> str:
-    """An error of somebody's code: its type, its words, and the file and line where it arose."""
+    """Return the type and message of an error, and the file and line of the user's code."""
     words = f"{type(error).__name__}: {error}".removesuffix(": ")
     frames = traceback.extract_tb(error.__traceback__)
     others = ("gymnasium", *BETWEEN)
@@ -110,7 +110,7 @@ def described(error: BaseException) -> str:
 
 
 def one_line(text: object) -> str:
-    """Text for a terminal: one line, control characters written as escapes."""
+    """Return text for a terminal: on one line, with control characters as escapes."""
     words = " ".join(str(text).splitlines())
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
@@ -119,12 +119,12 @@ def one_line(text: object) -> str:
 
 
 def is_missing(error: BaseException, module: str) -> bool:
-    """Whether an import failed because there is no such module, or no package that it lies in."""
+    """Whether an import failed because the module, or a package that contains it, is missing."""
     return isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}.")
 
 
 def extra(module: str, name: str) -> Any:
-    """A module that the extra `name` brings. Raises UserError where it is not installed."""
+    """Import a module of the extra `name`. Raises UserError if it is not installed."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -135,17 +135,17 @@ EXTRA = (
     *("filelock", "jinja2", "matplotlib", "pandas", "rich", "scipy"),
     *("threadpoolctl", "torch", "tyro"),
 )
-"""Packages that training and reports need, and that an installation without [train] lacks."""
+"""Packages that training and reports need and an installation without [train] lacks."""
 
 
 def _how_to_install(name: str) -> str:
-    """An extra's installation: from the code, since no index of packages has circle2d-mj."""
+    """Return how to install an extra: from the code, since no package index has circle2d-mj."""
     return f"in the folder of circle2d-mj's code, pip install -c constraints.txt '.[{name}]'"
 
 
 def extra_hint(error: ModuleNotFoundError, user: str) -> str:
     """Return how to install the package of [train] that `user` lacks; "" for any other module, and
-    for one that somebody else's code imports."""
+    for a module that somebody else's code imports."""
     frames = traceback.extract_tb(error.__traceback__)
     files = [f.filename for f in frames if not any(name in f.filename for name in BETWEEN)]
     if (error.name or "").partition(".")[0] not in EXTRA or not files[-1].startswith(OURS):
@@ -163,7 +163,7 @@ OTHER_NAMES = {
     "output": "out",
     "output_dir": "out",
 }
-"""Other libraries' names of options, and what they are here."""
+"""Names of options in other libraries, and their names here."""
 
 
 def nearest(given: str, valid: Iterable[str], otherwise: str = "") -> str:

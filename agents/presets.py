@@ -1,10 +1,10 @@
 """Presets: the hyper-parameters that an algorithm starts from on a task, as data.
 
-What sets a hyper-parameter, each before those below it:
+A hyper-parameter is set by the first of these that has a value for it:
 
 1. the value that is given, as in `agents.train(..., cost_limit=3.0)`
-2. a default that the algorithm's config class declares anew, which its base class has too
-3. the last rule of the preset that is for the task and the algorithm
+2. a default that the algorithm's config class overrides, which its base class declares too
+3. the last rule of the preset that holds for the task and the algorithm
 4. the default of the config
 """
 
@@ -26,22 +26,22 @@ PresetName = Literal["paper", "zoo", "none"]
 ARENA, FULL_STEP = Circle2DConfig().arena, Circle2DConfig().full_step
 LENGTHS = dict.fromkeys(KINEMATIC.values(), ARENA)
 LENGTHS |= dict.fromkeys(PHYSICS.values(), (ARENA, ARENA, FULL_STEP, FULL_STEP))
-"""`input_scale` that turns the observations of a Circle2D task back into units of length; with
-physics its velocities into such units a step."""
+"""`input_scale` that converts the observations of each Circle2D task back to units of length, and
+with physics velocities to units of length per step."""
 
 
 class Rule(NamedTuple):
-    """Values of hyper-parameters for some algorithms on some tasks."""
+    """Hyper-parameters of some algorithms on some tasks."""
 
     tasks: Collection[str]
     values: Mapping[str, Any]
-    """Those that an algorithm does not have are left out."""
+    """Hyper-parameters by name; those that an algorithm does not have are left out."""
     of: str = ""
-    """"on-policy", "off-policy", or the name of an algorithm, which stands for those too whose
-    config extends its own; empty for all."""
+    """"on-policy", "off-policy", or the name of an algorithm, which includes algorithms whose
+    config extends its own; "" for all."""
 
     def holds(self, name: str, task: str) -> bool:
-        """Whether it is for an algorithm on a task."""
+        """Whether the rule holds for an algorithm on a task."""
         if task not in self.tasks:
             return False
         own = algorithm(name)
@@ -53,43 +53,43 @@ class Rule(NamedTuple):
 PAPER = (
     # Table Circle2DResults, caption.
     Rule(CIRCLE2D, {"cost_limit": 5.0}),
-    # Not printed; what either choice gives: `agents.paper.grid.unprinted`.
+    # Not printed in the paper; for what either choice gives see `agents.paper.grid.unprinted`.
     Rule(CIRCLE2D, {"time_limit": "terminal"}, "off-policy"),
     *(Rule([task], {"input_scale": s}, "sac-lb-streak") for task, s in LENGTHS.items()),
     # Table HP_SafetyGymnasium, for the whole suite; the cost limit, 25, is the default.
     Rule(SAFETY, {"random_steps": 50_000, "replay_size": 500_000}, "off-policy"),
     Rule(["circle2d_mj/SafetyPointCircle1-v0"], {"episodes": 20}, "on-policy"),
 )
-"""The paper's values on its tasks, and on others of the same families."""
+"""The paper's values for its tasks, and for other tasks of the same families."""
 
 
 class Recipe(NamedTuple):
-    """How the zoo's agents of a task are trained."""
+    """How the zoo's agents for a task are trained."""
 
     algorithm: str
     steps: int
     """Environment steps of a run."""
     values: Mapping[str, Any]
-    """Hyper-parameters that are not the algorithm's defaults."""
+    """Hyper-parameters that differ from the algorithm's defaults."""
 
 
-# Gentle gains, and a limit below the task's 25, so that single seeds stay within: chosen on seeds
-# 0 to 2 after 2 000 000 steps, where the default gains hold the limit and learn nothing, and lower
-# ones (0.02, 0.001, 0.01) have a higher return at a cost of 36.
+# Low gains, and a limit below the task's 25, so that single seeds satisfy the constraint. Chosen on
+# seeds 0 to 2 after 2 000 000 steps: with the default gains runs satisfy the constraint but learn
+# nothing, and with lower gains (0.02, 0.001, 0.01) they have a higher return at a cost of 36.
 _GOAL = {"normalize_observations": True, "episodes": 20, "cost_limit": 22.0}
 _GOAL |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
-# Its return is dense: half as many episodes are enough.
+# The task's reward is dense: half as many episodes are enough.
 _CIRCLE = _GOAL | {"episodes": 10}
-# The lower gains of that trial, with which the task is learned before the limit binds: costs came
-# down by 3 000 000 steps.
+# The lower gains of that trial, with which the task is learned before the constraint is active:
+# costs had come down by 3 000 000 steps.
 _SLOW = _GOAL | {"pid_kp": 0.02, "pid_ki": 0.001}
-# A speed limit binds at every step, and a policy that satisfies it with much noise exceeds it
-# without: after 1 000 000 steps TRPO-PID with a first standard deviation of 1 had a cost of 263,
-# CPPO-PID with exp(-1) one of 18 (seeds 0 to 2).
+# A speed limit is active at every step, and a policy that satisfies it with much noise exceeds it
+# without noise: after 1 000 000 steps TRPO-PID with an initial standard deviation of 1 had a cost
+# of 263, CPPO-PID with exp(-1) a cost of 18 (seeds 0 to 2).
 _CHEETAH = {"normalize_observations": True, "episodes": 10, "cost_limit": 20.0}
 _CHEETAH |= {"initial_log_std": -1.0, "kl_stop": 0.02}
 _CHEETAH |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
-# The paper's values for the algorithm, which was made on these tasks.
+# The paper's values for the algorithm, which was developed on these tasks.
 _CIRCLE2D = {
     task: Recipe("sac-lb-streak", 1_000_000, {"cost_limit": 5.0, "input_scale": scale})
     for task, scale in LENGTHS.items()
@@ -101,7 +101,7 @@ ZOO = _CIRCLE2D | {
     "circle2d_mj/SafetyPointGoal1-v0": Recipe("trpo-pid", 10_000_000, _GOAL),
     "circle2d_mj/SafetyPointGoal2-v0": Recipe("trpo-pid", 10_000_000, _SLOW),
 }
-"""The recipe of each task of the zoo, whose results `agents.zoo()` tells."""
+"""The recipe of each task of the zoo; `agents.zoo()` has the results."""
 PRESETS: Mapping[PresetName, Collection[Rule]] = {
     "paper": PAPER,
     "zoo": [Rule([task], own.values, own.algorithm) for task, own in ZOO.items()],
@@ -112,28 +112,28 @@ PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000)
 PAPER_STEPS |= {f"circle2d_mj/{name}": 10_000_000 for name in _PAPERS_SAFETY}
 """Environment steps of a run on each task of the paper: tables HP_*, total timesteps."""
 STEPS = 1_000_000
-"""Those of a run on any other task."""
+"""Environment steps of a run on any other task."""
 
 
 def registered_id(task: str) -> str:
-    """The one id of a task, which has others: "module:id", and Safety-Gymnasium's own."""
+    """Return the registered id of a task named as "module:id" or by Safety-Gymnasium's id."""
     name = task.rpartition(":")[2]
     return f"circle2d_mj/{name}" if name in NAMES.values() else name
 
 
 def is_circle2d(task: str) -> bool:
-    """Whether a task is one of Circle2D, of either mode."""
+    """Whether a task is a Circle2D task, kinematic or with physics."""
     return registered_id(task) in CIRCLE2D
 
 
 def limit_of(task: str) -> float:
-    """The cost limit of an episode that the paper's values set on a task."""
+    """Return the cost limit of an episode by the paper's values for a task."""
     return preset("trpo-lag", task).cost_limit
 
 
 def recipe(task: str) -> Recipe:
-    """The recipe of the zoo for a task. Raises UserError, naming the tasks that have one, for any
-    other."""
+    """Return the zoo's recipe for a task. Raises UserError, naming the tasks that have one, if
+    there is none."""
     name = registered_id(task)
     if name not in ZOO:
         tasks = [known.rpartition("/")[2] for known in ZOO]
@@ -142,9 +142,9 @@ def recipe(task: str) -> Recipe:
 
 
 def preset(name: str, task: str, of: PresetName = "paper") -> Any:
-    """The hyper-parameters of an algorithm for a task by one of `PRESETS`; on tasks without a rule
-    the defaults. Raises UserError for an unknown algorithm or preset, and where the zoo has no
-    settings of the algorithm for the task: the defaults limit another cost."""
+    """Return the hyper-parameters of an algorithm for a task by one of `PRESETS`; without a rule,
+    the defaults. Raises UserError for an unknown algorithm or preset, and if the zoo has no
+    settings of the algorithm for the task, where the defaults would limit another cost."""
     config = algorithm(name).config
     if of not in PRESETS:
         raise UserError(f"there is no preset {of!r}: {nearest(str(of), PRESETS)}")
@@ -168,8 +168,8 @@ def _made(config: type, values: tuple[tuple[str, Any], ...]) -> Any:
 
 
 def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName = "paper") -> Any:
-    """The preset with the given values instead of its own. Raises UserError, with the name that was
-    probably meant, for a hyper-parameter that the algorithm does not have."""
+    """Return the preset with the given values in place of its own. Raises UserError, with the name
+    that was probably meant, for a hyper-parameter that the algorithm does not have."""
     config = preset(name, task, of)
     names = [field.name for field in fields(config)]
     for other in given:
@@ -178,18 +178,18 @@ def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName =
             others = [name for name in (*names, *RESERVED) if name != other]
             hint = nearest(meant, others, f"it has {', '.join(names)}")
             if having := with_hyperparameter(other):
-                hint = f"it is of {', '.join(having)}"
+                hint = f"it belongs to {', '.join(having)}"
             raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
     own = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     return replace(config, **own) if own else config
 
 
 def with_hyperparameter(name: str) -> list[str]:
-    """Names of the algorithms that have a hyper-parameter."""
+    """Return the names of the algorithms that have a hyper-parameter."""
     every = {own: [field.name for field in fields(its.config)] for own, its in ALGORITHMS.items()}
     return [own for own, names in every.items() if name in names]
 
 
 def usual_steps(task: str) -> int:
-    """Environment steps of a run: the paper's on its tasks, `STEPS` on any other."""
+    """Return the environment steps of a run: the paper's for its tasks, `STEPS` for any other."""
     return PAPER_STEPS.get(registered_id(task), STEPS)

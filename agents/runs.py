@@ -1,4 +1,4 @@
-"""Runs as Python sees them after a training."""
+"""Runs on disk as Python objects."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Rows = Literal["measures", "episodes", "updates", "evaluations"]
 
 
 class Runs:
-    """The runs of one folder or of several, and all that they left: see `load_runs`."""
+    """The runs of one or several folders, and everything that they recorded: see `load_runs`."""
 
     def __init__(
         self,
@@ -32,8 +32,8 @@ class Runs:
         temporary: bool = False,
         configs: Sequence[TrainConfig] | None = None,
     ) -> None:
-        """temporary: remove the folders with this object. configs: of the folders, where the caller
-        has them."""
+        """temporary: remove the folders with this object. configs: those of the folders, if the
+        caller has them."""
         if isinstance(folders, (str, os.PathLike)):
             raise UserError(f"Runs takes a list of folders, got {folders!r}: see load_runs")
         self.folders = tuple(map(Path, folders))
@@ -49,28 +49,28 @@ class Runs:
         return f"Runs({names})"
 
     def __fspath__(self) -> str:
-        """The folder, so that runs may stand where a folder does."""
+        """Return the folder, so that runs can be passed where a folder is expected."""
         return str(self.folder)
 
     @property
     def folder(self) -> Path:
-        """The folder. Raises UserError where there are several: see `folders`."""
+        """The folder. Raises UserError if there are several: see `folders`."""
         if len(self.folders) != 1:
             raise UserError(f"there are several folders, see `folders`: {self.folders}")
         return self.folders[0]
 
     @property
     def config(self) -> TrainConfig:
-        """The configuration. Raises UserError where there are several: see `configs`."""
+        """The configuration. Raises UserError if there are several: see `configs`."""
         return self.configs[self.folders.index(self.folder)]
 
     @property
     def results(self) -> list[Group]:
         """Measures and records of the complete runs, for each folder, task and cost.
 
-        Folders are named from the parent that they have in common. A folder without a complete run
-        is left out with a warning: a run that was stopped has `records` only. Raises UserError
-        where no run is complete.
+        Folders are named by their paths below their common parent. A folder without a complete run
+        is left out with a warning: a run that was stopped has only `records`. Raises UserError if
+        no run is complete.
         """
         from agents.results.reading import read_folder
 
@@ -91,13 +91,13 @@ class Runs:
 
     @property
     def records(self) -> dict[Any, EpisodeRecords]:
-        """The episodes of every run so far, by (folder, seed); of a folder with several tasks by
-        (folder, task, seed)."""
+        """The episodes of every run so far, by (folder, seed), or by (folder, task, seed) for a
+        folder with several tasks."""
         return self.records_of()
 
     def records_of(self, cost: str | None = None) -> dict[Any, EpisodeRecords]:
-        """The episodes of every run so far, with one of its costs, by default the first: keys as of
-        `records`."""
+        """Return the episodes of every run so far, with the given cost, by default the first; keys
+        as in `records`."""
         from agents.results.reading import run_records
 
         records = {}
@@ -111,7 +111,7 @@ class Runs:
         return records
 
     def table(self) -> str:
-        """The table that the command prints, as Markdown; written into the folder too."""
+        """Return the table that the command prints, as Markdown; also write it into the folder."""
         from agents.reporting.report import table
         from agents.reporting.table import markdown
         from agents.studies import used_study
@@ -119,18 +119,18 @@ class Runs:
         return "\n".join(markdown(table(folder, used_study())) for folder in self.folders)
 
     def to_pandas(self, rows: Rows = "measures") -> pandas.DataFrame:
-        """The tidy frame that reports are made from: a row for each measure of each run.
+        """Return the tidy frame from which reports are made: a row for each measure of each run.
 
         Its columns: source, group (a number for each folder, task and cost), name (in tables),
         task, algorithm, settings, cost, limit, folder, seed, steps, ends_in, measure, part (end of
-        the third of training, NaN for the whole), window, value, and failure (why a run is not
-        complete, which has no values): see `agents.results.frame.frame`.
+        the third of training, NaN for the whole), window, value, and failure (why a run is
+        incomplete; such a run has no values): see `agents.results.frame.frame`.
 
-        rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
-        run so far, "evaluations" for each episode of the evaluations on the way (`evaluate_every`)
-        and at the end; all have the columns folder, algorithm, task and seed, and the
-        hyper-parameters and task parameters in which the folders differ. Archives have of updates
-        the multipliers, at most 500 of each run, and of the evaluations the last.
+        rows: "episodes" and "updates" give a row for each episode, or each epoch's update, of every
+        run so far, "evaluations" a row for each evaluated episode during training
+        (`evaluate_every`) and at the end. These frames have the columns folder, algorithm, task and
+        seed, and the hyper-parameters and task parameters in which the folders differ. Archives
+        hold only the multipliers of updates, at most 500 of each run, and the last evaluation.
         """
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")
@@ -145,7 +145,7 @@ class Runs:
 
     @property
     def _trainings(self) -> list[Training]:
-        """Each folder with what it holds by now."""
+        """Each folder with its current content."""
         from agents.results.groups import Training
         from agents.results.reading import results_of
 
@@ -157,14 +157,14 @@ class Runs:
 
     @property
     def _names(self) -> dict[Path, str]:
-        """Each folder as seen from the parent that all have in common."""
+        """Each folder's path below the common parent."""
         absolute = {folder: Path(os.path.abspath(folder)) for folder in self.folders}
         common = os.path.commonpath([folder.parent for folder in absolute.values()])
         return {folder: path.relative_to(common).as_posix() for folder, path in absolute.items()}
 
 
 def folders_of(*given: str | os.PathLike[str]) -> list[Path]:
-    """Folders one by one; of runs all of theirs. Raises UserError for anything else."""
+    """Return the given folders, and those of given runs. Raises UserError for anything else."""
     folders: list[Path] = []
     for one in given:
         if not isinstance(one, (str, os.PathLike)):
@@ -174,11 +174,10 @@ def folders_of(*given: str | os.PathLike[str]) -> list[Path]:
 
 
 def load_runs(*folders: str | os.PathLike[str]) -> Runs:
-    """Open the runs at or below folders, such as that of a sweep, finished or not, and in archives
-    that `report` wrote. Changes nothing.
+    """Open the runs at or below folders, finished or not, or in archives of `report`.
 
-    An algorithm of one's own need not be registered. Raises UserError where there are no runs, and
-    for a folder that is damaged.
+    Changes nothing. A folder may be that of a sweep. An algorithm of one's own need not be
+    registered. Raises UserError if there are no runs, or a folder is damaged.
     """
     from agents.results.reading import folders_below
 

@@ -1,4 +1,4 @@
-"""Wrappers of the environments that training steps: checks, failures, records, several tasks."""
+"""Wrappers of environments for training: checks, failures, records, several tasks side by side."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ T = TypeVar("T")
 
 
 class CheckedEnv(gym.Wrapper):
-    """Makes the reward, the costs and what is recorded of every step floats, its ends bools, and
-    errors of the task TaskFailures.
+    """Converts reward, costs and recorded numbers of every step to float, `terminated` and
+    `truncated` to bool, and errors of the task to TaskFailures.
 
-    gymnasium's vector environments type an array of costs by the first cost they meet, and fill in
-    0 where one is missing: either would change costs silently. A failure has the error of the task
-    as its cause, also where it comes from another process.
+    gymnasium's vector environments take the type of an array of costs from the first cost they
+    meet, and fill in 0 for a missing cost: both would change costs silently. The cause of a
+    TaskFailure is the task's error, also if it comes from another process.
     """
 
     def __init__(self, env: gym.Env, costs: Sequence[str]) -> None:
@@ -43,7 +43,7 @@ class CheckedEnv(gym.Wrapper):
         self.numbers, self._steps = (*costs, *recorded_info(env)), 0
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment. Raises TaskFailure for any error of it."""
+        """Reset the environment. Raises TaskFailure for any error in it."""
         self._steps = 0
         with failing("in a reset"):
             observation, info = self.env.reset(**kwargs)
@@ -51,8 +51,8 @@ class CheckedEnv(gym.Wrapper):
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment. Raises TaskFailure for any error of it, and where the reward or a
-        cost is no number, or an end neither True nor False."""
+        """Step the environment. Raises TaskFailure for any error in it, and if the reward or a cost
+        is no number, or `terminated` or `truncated` neither True nor False."""
         self._steps += 1
         with failing(f"in step {self._steps} of an episode"):
             observation, reward, terminated, truncated, info = self.env.step(action)
@@ -65,7 +65,7 @@ class CheckedEnv(gym.Wrapper):
         return observation, reward, terminated, truncated, info | numbers
 
     def close(self) -> None:
-        """Close the environment. Warns of an error of it, since all that it is for is done."""
+        """Close the environment. Only warns of an error in it, since its work is done."""
         with told_in_close(self.env):
             self.env.close()
 
@@ -87,7 +87,7 @@ class CheckedEnv(gym.Wrapper):
 
 @contextlib.contextmanager
 def failing(when: str) -> Iterator[None]:
-    """Raise TaskFailure for any error of a task's own code, with that as its cause."""
+    """Raise TaskFailure for any error of a task's own code, with the error as its cause."""
     try:
         yield
     except MemoryError:  # of the machine
@@ -99,7 +99,7 @@ def failing(when: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def told_in_close(source: object) -> Iterator[None]:
-    """Warn of an error of a task's own code while it is closed."""
+    """Warn of an error of a task's own code while the task is closed."""
     try:
         yield
     except OWN_ERRORS as error:
@@ -107,9 +107,10 @@ def told_in_close(source: object) -> Iterator[None]:
 
 
 class FailsAlone(gym.Wrapper):
-    """Tells of a failure in the info instead of raising it: the environments beside it go on.
+    """Puts a failure into the info instead of raising it, so that the environments beside it go on.
 
-    Until its next reset it gives its last observation and info, and zeros for all numbers.
+    Until its next reset, a failed environment returns its last observation and info, and zeros for
+    all numbers.
     """
 
     def __init__(self, env: CheckedEnv) -> None:
@@ -138,14 +139,14 @@ class FailsAlone(gym.Wrapper):
 
 
 class Guard(VectorWrapper):
-    """Names the task in the failures of its environments: those that raise, give arrays of other
-    shapes than their spaces, end or do not answer."""
+    """Raises TaskFailures that name the task: for environments that raise errors, return arrays of
+    a wrong shape, end, or do not answer."""
 
     def __init__(
         self, env: VectorEnv, task: str, step_timeout: float | None = None, alone: bool = False
     ) -> None:
-        """step_timeout: seconds that a step or reset of environments in processes of their own may
-        take; None: any. alone: leave the failures of single environments in the info."""
+        """step_timeout: seconds that a step or reset of environments in separate processes may
+        take; None: any number. alone: leave the failures of single environments in the info."""
         super().__init__(env)
         self._task, self._timeout, self._steps, self._alone = task, step_timeout, 0, alone
         self._shape, self._each = env.observation_space.shape, (env.num_envs,)
@@ -188,7 +189,7 @@ class Guard(VectorWrapper):
         return observations, rewards, *ends, self._named(info)
 
     def _named(self, info: dict[str, Any]) -> dict[str, Any]:
-        """The info with the task's name in the failures. Raises the first unless all are alone."""
+        """Return the info with the task named in failures. Raises the first one unless `alone`."""
         if FAILURE not in info:
             return info
         named = np.full(self.num_envs, None)
@@ -201,7 +202,7 @@ class Guard(VectorWrapper):
         return info | {FAILURE: named}
 
     def close(self, **kwargs: Any) -> None:
-        """Close the environments; end their processes where they do not answer in time."""
+        """Close the environments; end their processes if they do not answer in time."""
         if not isinstance(self.env, AsyncVectorEnv):
             with told_in_close(self):
                 self.env.close(**kwargs)
@@ -210,7 +211,7 @@ class Guard(VectorWrapper):
             if self._timeout is not None:
                 close_processes(self.env, self._timeout)
             self.env.close(**kwargs)
-        except OWN_ERRORS:  # of processes that are gone
+        except OWN_ERRORS:  # the processes are gone
             end_processes(self.env)
 
     @contextlib.contextmanager
@@ -229,7 +230,7 @@ class Guard(VectorWrapper):
 
 
 class Bounds:
-    """Bounds of a task's actions: takes the actions of policies, in [-1, 1], to them."""
+    """Bounds of a task's actions; maps actions of policies, in [-1, 1], to them."""
 
     def __init__(self, low: NDArray, high: NDArray) -> None:
         """low, high: [action size], of the type of the task's actions."""
@@ -237,8 +238,8 @@ class Bounds:
         self._same = bool((low == -1).all() and (high == 1).all())
 
     def __call__(self, action: NDArray) -> NDArray:
-        """Actions [..., action size] in [-1, 1] as the task takes them: of its type, and within its
-        bounds, beyond which rounding may lead."""
+        """Return actions [..., action size] in [-1, 1] as the task takes them: of its type, and
+        within its bounds even after rounding."""
         if self._same:
             return action.astype(self.low.dtype, copy=False)
         share = (1.0 + action.astype(np.float64)) / 2.0
@@ -247,7 +248,7 @@ class Bounds:
 
 
 class ScaledActions(VectorActionWrapper):
-    """Environments that take actions in [-1, 1] in the place of the task's own."""
+    """Environments that take actions in [-1, 1] instead of the task's own."""
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
@@ -260,12 +261,12 @@ class ScaledActions(VectorActionWrapper):
         return repr(self.env)
 
     def actions(self, actions: NDArray) -> NDArray:
-        """The task's own actions."""
+        """Return the task's own actions."""
         return self._bounds(actions)
 
 
 def _flags(name: str, values: Any) -> NDArray[np.bool_]:
-    """An array of bools. Raises UserError where some are neither True nor False, 1 nor 0."""
+    """Return an array of bools. Raises UserError if values are not True, False, 1 or 0."""
     array = np.asarray(values)
     if array.dtype != bool and not np.isin(array, (0, 1)).all():
         raise UserError(f"{name} must be True or False, got {array.tolist()}")
@@ -273,7 +274,7 @@ def _flags(name: str, values: Any) -> NDArray[np.bool_]:
 
 
 def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:
-    """Raise UserError for an array of another shape; by name, arrays and their shapes."""
+    """Raise UserError for an array of a wrong shape; arrays: array and shape by name."""
     for name, (values, shape) in arrays.items():
         if np.shape(values) != shape:
             raise UserError(f"{name} must be {list(shape)}, got {list(np.shape(values))}")
@@ -281,7 +282,7 @@ def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Keep gymnasium from printing the errors of its processes, which it raises as well."""
+    """Keep gymnasium from printing errors of its processes, which it also raises."""
     log: Any = logger
     before, log.min_level = log.min_level, log.ERROR + 1
     try:
@@ -291,8 +292,8 @@ def silent() -> Iterator[None]:
 
 
 def close_processes(envs: AsyncVectorEnv, timeout: float) -> None:
-    """Close environments in processes, and end those that have not ended after so many seconds;
-    gymnasium would wait for them for ever."""
+    """Close environments in processes, and end processes that have not ended after so many seconds,
+    for which gymnasium would wait for ever."""
     for pipe in envs.parent_pipes:
         if pipe is not None and not pipe.closed:
             pipe.send(("close", None))
@@ -303,7 +304,7 @@ def close_processes(envs: AsyncVectorEnv, timeout: float) -> None:
 
 
 def end_processes(envs: AsyncVectorEnv) -> None:
-    """End the processes of environments, whatever they do, and wait for their end."""
+    """Kill the processes of environments, and wait for their end."""
     for process in envs.processes:
         process.kill()
     for process in envs.processes:
@@ -315,11 +316,11 @@ def end_processes(envs: AsyncVectorEnv) -> None:
 
 
 def quiet_worker(index: int, make: Any, pipe: Any, parent_pipe: Any, *others: Any) -> None:
-    """gymnasium's process of one environment, which leaves Ctrl-C to its parent, ends by itself
-    with it, and prints nothing of either. Where the environment cannot be made here, the parent
-    gets an OwnCodeError."""
+    """Run one environment in a process, as gymnasium's worker does, but leave Ctrl-C to the parent,
+    end with the parent, and print nothing. If the environment cannot be made here, the parent gets
+    an OwnCodeError."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("SIGTERM", "SIGHUP"):  # the parent's handlers are not the child's
+    for name in ("SIGTERM", "SIGHUP"):  # not the parent's handlers
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_DFL)
     try:
@@ -344,8 +345,8 @@ def _with_words(error: BaseException) -> OwnCodeError:
 
 
 def recorded_info(env: Any) -> dict[str, str]:
-    """The numbers of its info that a task has recorded at each step, with their units: the
-    attribute `recorded_info` of its environment, {} without. Raises UserError for anything else."""
+    """Return the units, by name, of the info's numbers that a task asks to record at each step: the
+    attribute `recorded_info` of its environment, or {}. Raises UserError for anything else."""
     try:
         given = env.get_wrapper_attr("recorded_info")
     except AttributeError:
@@ -358,7 +359,7 @@ def recorded_info(env: Any) -> dict[str, str]:
 
 
 class RecordSteps(VectorWrapper):
-    """Records each step since the last reset of all environments: where the agents are by their
+    """Records each step since the last reset of all environments: the agents' positions by the
     task's view, and numbers of the info."""
 
     def __init__(self, env: VectorEnv, view: View | None, info: Sequence[str]) -> None:
@@ -373,8 +374,8 @@ class RecordSteps(VectorWrapper):
 
     @property
     def recorded(self) -> dict[str, NDArray[np.float32]]:
-        """By name: "positions", where each step ended, [steps, num_envs, 2], where there is a view;
-        "info/NAME", [steps, num_envs]."""
+        """Arrays by name: "positions", where each step ended, [steps, num_envs, 2], if there is a
+        view; "info/NAME", [steps, num_envs]."""
         columns = np.moveaxis(np.array(self._info, dtype=np.float32), 1, 0) if self._names else ()
         recorded = {f"info/{name}": c for name, c in zip(self._names, columns, strict=True)}
         return recorded | ({} if self._view is None else {"positions": np.array(self._positions)})
@@ -388,8 +389,8 @@ class RecordSteps(VectorWrapper):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments, and forget the steps unless only some are reset."""
-        every = options is None or "reset_mask" not in options  # gymnasium's take it out
+        """Reset the environments, and forget the recorded steps unless only some are reset."""
+        every = options is None or "reset_mask" not in options  # gymnasium's remove it
         observation, info = self.env.reset(seed=seed, options=options)
         if every:
             self._positions, self._info = [], []
@@ -397,8 +398,8 @@ class RecordSteps(VectorWrapper):
         return observation, info
 
     def step(self, actions: Any) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
-        """Step the environments. Raises UserError where the info lacks what is recorded, and where
-        the view cannot give the positions."""
+        """Step the environments. Raises UserError if the info lacks a recorded number, or the view
+        gives no valid positions, TaskFailure if the view fails."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         if self._names:
             require_info(self.env, info, self._names)
@@ -410,7 +411,7 @@ class RecordSteps(VectorWrapper):
 
     def _located(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
         assert self._view is not None
-        if FAILURE in info and all(info[FAILURE]):  # they may have no info to look at
+        if FAILURE in info and all(info[FAILURE]):  # the info may be empty
             return np.zeros((self.num_envs, 2), np.float32)
         try:
             given = self._view.positions(np.asarray(observation, dtype=np.float32), info)
@@ -419,14 +420,14 @@ class RecordSteps(VectorWrapper):
         except OWN_ERRORS as error:
             words = f"the view of {self.env} failed: {described(error)}"
             raise TaskFailure(words) from error
-        positions = np.array(given, dtype=np.float32)  # the task may write into its own again
+        positions = np.array(given, dtype=np.float32)  # a copy: the task may reuse its own
         if positions.shape != (self.num_envs, 2):
             raise UserError(
                 f"the view of {self.env} must give positions [{self.num_envs}, 2], "
                 f"got {list(positions.shape)}"
             )
         lost = ~np.isfinite(positions).all(axis=1)
-        if lost.any():  # where the observation is not finite, the run alone fails
+        if lost.any():  # if the observation is not finite, only that run fails
             seen = np.isfinite(observation).reshape(self.num_envs, -1).all(axis=1)
             if (lost & seen).any():
                 raise UserError(f"the view of {self.env} gives positions that are not finite")
@@ -434,9 +435,9 @@ class RecordSteps(VectorWrapper):
 
 
 class SideBySide(VectorEnv):
-    """Vector environments of several tasks that do not reset themselves, one after the other in
-    every array. They have observations of one size and actions of one size. The info of a step
-    holds the costs, and failures."""
+    """Vector environments of several tasks as one: one after the other in every array. They do not
+    reset themselves, and have equal sizes of observations and of actions. The info of a step holds
+    the costs, and failures."""
 
     def __init__(
         self,
@@ -444,7 +445,7 @@ class SideBySide(VectorEnv):
         costs: Sequence[str],
         seen: Sequence[VectorEnv] | None = None,
     ) -> None:
-        """seen: the parts as policies see them, by default as they are."""
+        """seen: the parts as policies see them, by default the parts themselves."""
         self.parts, self._costs = parts, costs
         self._seen = parts if seen is None else seen
         ends = np.cumsum([0, *(part.num_envs for part in parts)]).tolist()
@@ -458,7 +459,7 @@ class SideBySide(VectorEnv):
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, *, seed: Sequence[int] = (), options: dict | None = None
     ) -> tuple[NDArray, dict[str, Any]]:
-        """Reset all, with a seed for each environment; or those in `options["reset_mask"]`."""
+        """Reset all, each environment with its seed, or those in `options["reset_mask"]`."""
         if options is None:
             pairs = zip(self._seen, self._split(seed), strict=True)
             resets = [part.reset(seed=seeds.tolist()) for part, seeds in pairs]
@@ -491,7 +492,7 @@ class SideBySide(VectorEnv):
         return self._last, reward, terminated, truncated, info
 
     def _failures(self, infos: Sequence[dict[str, Any]]) -> dict[str, NDArray[np.object_]]:
-        """The failures in the infos of all parts; {} where there are none."""
+        """Return the failures in the infos of all parts; {} if there are none."""
         if not any(FAILURE in info for info in infos):
             return {}
         pairs = zip(self.parts, infos, strict=True)

@@ -146,7 +146,7 @@ def test_settings_that_are_not_allowed(tmp_path):
     with pytest.raises(UserError, match="streak_weight must be 0 with a streak_limit"):
         agents.train("ppo-lag", streak_limit=3.0, streak_weight=0.5, **out)
     for name in ("cpo", "crpo", "ppo", "wcsac", "cal"):
-        with pytest.raises(UserError, match=rf"{name} has no hyper-param.* it is of .*, sac-pid"):
+        with pytest.raises(UserError, match=rf"{name} has no hyper-p.* it belongs to .*, sac-pid"):
             agents.train(name, streak_limit=3.0, **out)
     for name in ("sac-lb", "sac-lb-streak"):
         with pytest.raises(UserError, match=f"{name} has no hyper-parameter 'streak_alpha'"):

@@ -46,7 +46,7 @@ def mistake(arguments, capsys):
         (TRAIN, "--out"),
         ([*TO, "--learning-rat", "1"], "^circle2d: Unrecognized options: --learning-rat, 1 "),
         ([*TO, "--lr", "1"], "--lr is --learning-rate here"),
-        ([*TO, "--kl-stop", "3"], "no hyper-parameter 'kl_stop': it is of ppo-lag, "),
+        ([*TO, "--kl-stop", "3"], "no hyper-parameter 'kl_stop': it belongs to ppo-lag, "),
         ([*TRAIN, "--out", ""], "--out is followed by an empty word"),
         ([*TO, "--import", "mine.py"], "a module's name: 'mine'"),
         ([*TO, "--import", "typo.mine"], "there is no module 'typo.mine'"),
