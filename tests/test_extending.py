@@ -170,7 +170,7 @@ def test_two_limits_on_two_costs(folder):
 
 def test_a_number_comes_to_its_cell_as_the_page_says(tmp_path):
     """Its functions are called in its order, from a training to the table."""
-    listed = PAGE[PAGE.index("1. `circle2d_mj") : PAGE.index("## A study")]
+    listed = PAGE[PAGE.index("reaches its cell") : PAGE.index("## A study")]
     named = re.findall(r"`([\w/]+\.py)`,\s+`([\w.]+)`", listed)
     assert len(named) == listed.count(".py`") - 1  # that of archives has no function
     called = []
