@@ -1,14 +1,15 @@
-"""The face of safety-gymnasium 1.0.0, for code that was written for it.
+"""The API of safety-gymnasium 1.0.0, for code that was written for that package.
 
     import circle2d_mj.safety_gymnasium as safety_gymnasium
 
     env = safety_gymnasium.make("SafetyPointGoal2-v0")
     observation, reward, cost, terminated, truncated, info = env.step(action)
 
-Code that cannot be changed finds this module by `import safety_gymnasium` after `install()`, where
-it is run by `python -m circle2d_mj.safety_gymnasium COMMAND ...`, and where the distribution in the
-folder `drop_in` is installed. Importing the module registers the suite's ids with suffix Gymnasium,
-too, as in `gymnasium.make("SafetyPointGoal2Gymnasium-v0")`: five values.
+Code that cannot be changed finds this module by `import safety_gymnasium` in three cases: after
+`install()`, if it is run by `python -m circle2d_mj.safety_gymnasium COMMAND ...`, and if the
+distribution in the folder `drop_in` is installed. Importing the module also registers the suite's
+ids with the suffix Gymnasium, for environments with five values, such as
+`gymnasium.make("SafetyPointGoal2Gymnasium-v0")`.
 """
 
 from __future__ import annotations
@@ -32,4 +33,4 @@ __all__ = [
     "wrappers",
 ]
 __version__ = "1.0.0"
-"""The version of safety-gymnasium whose tasks these are."""
+"""The version of safety-gymnasium that this module stands for."""

@@ -1,10 +1,10 @@
-"""Runs a command whose `import safety_gymnasium` finds this package.
+"""Run a command in which `import safety_gymnasium` finds this package.
 
     python -m circle2d_mj.safety_gymnasium omnisafe train --algo CPO --env-id SafetyPointGoal1-v0
     python -m circle2d_mj.safety_gymnasium train.py
 
-So do all processes that it starts. A Python file is run by this Python, as are programs that are
-installed beside it.
+This also holds for all processes that the command starts. Python files are run with this Python;
+programs that are installed beside it are found first.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from circle2d_mj.safety_gymnasium.naming import add_to_path
 
 
 def main(command: list[str]) -> int:
-    """Become the command; return 2, with a line on stderr, where there is none."""
+    """Replace this process by the command; return 2, with a line on stderr, if there is none."""
     if not command or command[0] in ("-h", "--help"):
         print(__doc__, file=sys.stdout if command else sys.stderr)
         return 0 if command else 2

@@ -1,4 +1,4 @@
-"""Single environments with safety-gymnasium's six values, and the ids that they are made by."""
+"""Single environments with safety-gymnasium's six values, and the ids from which they are made."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ __all__ = [
 registry: dict[str, EnvSpec] = {
     id: spec(f"circle2d_mj/{id}") for id in (*NAMES.values(), *OLD, *VISION)
 }
-"""The ids that `make` takes, with gymnasium's specifications of them."""
+"""Gymnasium's specifications by the ids that `make` accepts."""
 safe_registry = set(registry)
-"""The same ids alone."""
+"""The ids in `registry`."""
 NAVIGATION_SIZE, VELOCITY_SIZE = 256, 480
-"""Pixels along each side of the original's pictures"""
+"""Pixels along each side of the original's pictures."""
 
 
 def register(**arguments: Any) -> None:
-    """Register an environment with six values, by the arguments of `gymnasium.register`."""
+    """Register an environment with six values; the arguments are those of `gymnasium.register`."""
     gym.register(**arguments)
     registry[arguments["id"]] = spec(arguments["id"])
     safe_registry.add(arguments["id"])
@@ -59,15 +59,15 @@ def make(
 ) -> Any:
     """Make a task of the suite, as in `make("SafetyPointGoal1-v0")`; `step` returns six values.
 
-    autoreset: reset at once where an episode ends, see `wrappers.SafeAutoResetWrapper`. parameters:
-    `render_mode` ("rgb_array", "depth_array", either with "_list", "human"), `camera_name` or
-    `camera_id`, `width` and `height`, by default the original's: "vision", 256 x 256; "track",
-    480 x 480 of a body with a speed limit; and those of the task, as in `hazards=4`, see
-    `circle2d_mj.safety.navigation.NavigationTask`.
+    autoreset: reset at once when an episode ends, see `wrappers.SafeAutoResetWrapper`. parameters:
+    `render_mode` ("rgb_array", "depth_array", each also with "_list", or "human"); `camera_name` or
+    `camera_id`, `width` and `height`, by default the original's: "vision" with 256 x 256 pixels, or
+    "track" with 480 x 480 for bodies with a speed limit; and those of the task, such as
+    `hazards=4`, see `circle2d_mj.safety.navigation.NavigationTask`.
     Raises ValueError for an id that is not in `registry`, and for apply_api_compatibility=True.
     """
     if apply_api_compatibility:
-        raise ValueError("apply_api_compatibility is for gym before 0.26, which is not taken here")
+        raise ValueError("apply_api_compatibility is for gym before 0.26, which is not supported")
     own = known_id(id)
     if not is_own(own):
         made = _registered(own, max_episode_steps, parameters)
@@ -80,13 +80,13 @@ def make(
         )
         inner = five.unwrapped.spec
         assert inner is not None
-        inner.id, inner.namespace = own, None  # what code logs, and names folders by
+        inner.id, inner.namespace = own, None  # code uses them in logs and names of folders
         made = SafetyGymnasiumEnv(five)
     return SafeAutoResetWrapper(made) if autoreset else made
 
 
 def _registered(id: str, max_episode_steps: int | None, parameters: dict[str, Any]) -> Any:
-    """Make an environment that `register` knows: gymnasium's `make` would expect five values."""
+    """Make an environment from `register`; `gymnasium.make` would expect five values."""
     found = registry[id]
     entry = found.entry_point
     creator: Any = entry if callable(entry) else load_env_creator(str(entry))
@@ -97,7 +97,7 @@ def _registered(id: str, max_episode_steps: int | None, parameters: dict[str, An
 
 
 def make_gymnasium_environment(env_id: str, *args: Any, **arguments: Any) -> Any:
-    """Make a task with gymnasium's five values, by an id as `SafetyPointGoal1Gymnasium-v0`."""
+    """Make a task with Gymnasium's five values, by an id like `SafetyPointGoal1Gymnasium-v0`."""
     name, _, version = env_id.partition("-")
     if not name.endswith("Gymnasium"):
         raise ValueError(f"env_id must be like SafetyPointGoal1Gymnasium-v0, got {env_id!r}")
@@ -106,24 +106,24 @@ def make_gymnasium_environment(env_id: str, *args: Any, **arguments: Any) -> Any
 
 
 def make_ma(*args: Any, **arguments: Any) -> Any:
-    """Refuse: raises NotImplementedError."""
+    """Raise NotImplementedError: there are no multi-agent tasks here."""
     raise NotImplementedError("multi-agent tasks are not here: safety-gymnasium itself has them")
 
 
 class SafeMAEnv:
-    """Refuses to be made: see `make_ma`."""
+    """A name of the original; raises NotImplementedError when it is made: see `make_ma`."""
 
     def __init__(self, *args: Any, **arguments: Any) -> None:
         make_ma()
 
 
 def is_own(id: str) -> bool:
-    """Whether an id is of this package's tasks: the suite's, or made of its parts."""
+    """Return whether an id names one of this package's tasks, the suite's or your own."""
     return f"circle2d_mj/{id}" in gym.registry
 
 
 def known_id(id: str | EnvSpec) -> str:
-    """Return the id without a prefix. Raises ValueError for one that is not in `registry`."""
+    """Return the id without prefix. Raises ValueError for an unknown id."""
     own = str(getattr(id, "id", id)).removeprefix("circle2d_mj/")
     if own not in registry and not is_own(own):
         near = difflib.get_close_matches(own, registry, cutoff=0.0)
@@ -132,7 +132,7 @@ def known_id(id: str | EnvSpec) -> str:
 
 
 def with_pictures(id: str, parameters: dict[str, Any]) -> dict[str, Any]:
-    """Return a task's parameters with the original's camera and size where none are given."""
+    """Return a task's parameters, with the original's camera and size as defaults."""
     velocity = "Velocity" in id
     size = VELOCITY_SIZE if velocity else NAVIGATION_SIZE
     made = {"width": size, "height": size, **parameters}
@@ -142,18 +142,18 @@ def with_pictures(id: str, parameters: dict[str, Any]) -> dict[str, Any]:
 
 
 def known_options(options: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the options of a reset that mean something here; the original ignores all."""
+    """Return the reset options that have an effect here; the original ignores all options."""
     return {key: options[key] for key in ("reset_mask",) if key in options} if options else None
 
 
 class SafetyGymnasiumEnv(SixValueEnv[Any, Any]):
-    """An environment with safety-gymnasium's six values and infos; other attributes are those of
-    the task inside, as in `env.task`."""
+    """An environment with safety-gymnasium's six values and infos; other attributes, such as
+    `env.task`, are those of the inner environment."""
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start a new episode; the info is empty. Options, all unknown, are ignored."""
+        """Start a new episode; the info is empty. Unknown options are ignored."""
         seed = int(seed) if isinstance(seed, np.integer) else seed
         return self.env.reset(seed=seed, options=known_options(options))[0], {}
 
@@ -169,7 +169,7 @@ class SafetyGymnasiumEnv(SixValueEnv[Any, Any]):
 
 
 def as_the_originals(info: dict[str, Any]) -> dict[str, Any]:
-    """Return an info with `cost_sum`, and with `goal_met` only where a goal was met."""
+    """Return an info with `cost_sum`, and with `goal_met` only if a goal was met."""
     found = {**info, "cost_sum": info["cost"]}
     if "goal_met" in found and not found["goal_met"]:
         del found["goal_met"]

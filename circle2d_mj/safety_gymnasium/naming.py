@@ -1,4 +1,4 @@
-"""The name `safety_gymnasium`, in this process and in those that it starts."""
+"""The import name `safety_gymnasium`, in this process and in its child processes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from circle2d_mj.safety_gymnasium import making, vector, wrappers
 
 NAME, FACE = "safety_gymnasium", "circle2d_mj.safety_gymnasium"
 FOLDER = Path(__file__).parent / "drop_in"
-"""Holds a package of that name, and what tells its version, for Python to find"""
+"""Folder with a package of that name and the metadata of its version, for Python to find."""
 _OF_WRAPPERS = ("autoreset", "env_checker", "normalize", "rescale_action", "time_limit")
 _MULTI_AGENT = "tasks.safe_multi_agent"
 MODULES: dict[str, ModuleType] = {
@@ -34,13 +34,13 @@ MODULES: dict[str, ModuleType] = {
     f"{_MULTI_AGENT}.tasks.velocity": making,
     f"{_MULTI_AGENT}.tasks.velocity.safe_mujoco_multi": making,
 }
-"""Modules of safety_gymnasium, and what takes their places here"""
+"""Modules of safety_gymnasium, and the modules that replace them here."""
 
 
 def install() -> None:
     """Let `import safety_gymnasium` find this package, here and in processes started from now on.
 
-    Raises RuntimeError where another safety_gymnasium has been imported.
+    Raises RuntimeError if another safety_gymnasium has already been imported.
     """
     add_to_path()
     found, here = importlib.import_module(NAME), sys.modules[FACE]
@@ -49,7 +49,7 @@ def install() -> None:
 
 
 def add_to_path() -> None:
-    """Put the folder that holds the name first, in this process and in its children."""
+    """Put `FOLDER` first on the import path of this process and its children."""
     folder = str(FOLDER)
     if folder not in sys.path:
         sys.path.insert(0, folder)
@@ -65,21 +65,22 @@ def take_the_name() -> None:
     for name, module in MODULES.items():
         parent, _, leaf = f"{NAME}.{name}".rpartition(".")
         sys.modules[f"{NAME}.{name}"] = module
-        module.__path__ = []  # for Python a package: it asks `_Absent` for what is not in there
+        module.__path__ = []  # makes it a package, so that `_Absent` is asked for submodules
         setattr(sys.modules[parent], leaf, module)
     if _Absent not in sys.meta_path:
         sys.meta_path.insert(0, _Absent)
 
 
 class _Absent:
-    """Says that a module of safety_gymnasium is not here; Python would look for a file of ours."""
+    """An import finder that refuses other modules of safety_gymnasium; without it Python would look
+    for files of this package."""
 
     @staticmethod
     def find_spec(name: str, path: Any = None, target: Any = None) -> None:
-        """Raise ModuleNotFoundError for such a module."""
+        """Raise ModuleNotFoundError for a module of safety_gymnasium that is not here."""
         if name.startswith(f"{NAME}."):
             raise ModuleNotFoundError(
-                f"{name} is not here: circle2d_mj has the face of {NAME}, not what is inside; a "
-                "task of your own is made by circle2d_mj.safety.own.register",
+                f"{name} is not here: circle2d_mj has the public API of {NAME}, not its internals; "
+                "to make a task of your own, use circle2d_mj.safety.own.register",
                 name=name,
             )

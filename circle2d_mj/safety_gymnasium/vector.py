@@ -1,4 +1,4 @@
-"""Vector environments with safety-gymnasium's six values; they reset at once at an end."""
+"""Vector environments with safety-gymnasium's six values, which reset when an episode ends."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def make(
 ) -> Any:
     """Make copies of a task of the suite; `step` returns six values, arrays [num_envs, ...].
 
-    The native vector environment steps all copies together, and `asynchronous` changes nothing;
-    with `wrappers`, each applied to every copy, and of ids that `register` got, single environments
-    are stepped one by one.
-    max_episode_steps: None for the task's own. arguments: those of `make` after that.
+    The native vector environment steps all copies together; `asynchronous` has no effect. With
+    `wrappers`, each of which is applied to every copy, and for ids from `register`, single
+    environments are stepped one after another.
+    max_episode_steps: None for the task's own. arguments: the further arguments of `making.make`.
     """
     own = known_id(env_id)
-    if max_episode_steps is not None:  # the native environment takes None for no limit at all
+    if max_episode_steps is not None:  # to the native environment, None means no limit
         arguments["max_episode_steps"] = max_episode_steps
     if wrappers is None and is_own(own):
         return SafetyVectorEnv(
@@ -67,28 +67,28 @@ def make(
 
 
 class _Asynchronous:
-    """`step` in two halves, as code for processes calls it."""
+    """`step` in two halves, for code that is written for environments in processes."""
 
     def step_async(self, actions: Any) -> None:
-        """Keep actions for `step_wait`."""
+        """Keep the actions for `step_wait`."""
         self._waiting = actions
 
     def step_wait(self, timeout: float | None = None) -> Six:
-        """Return what `step` does."""
+        """Take the step and return its six values."""
         return self.step(self._waiting)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class SafetyVectorEnv(_Asynchronous, SixValueVectorEnv):
-    """The native vector environment with safety-gymnasium's six values and infos: an ended
-    episode's last observation is in `final_observation`, its info in `final_info`."""
+    """The native vector environment with safety-gymnasium's six values and infos. The last
+    observation of an ended episode is in `final_observation`, the last info in `final_info`."""
 
     is_vector_env = True
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes; the info is empty, as the original's. Of options it knows
-        gymnasium's `reset_mask`."""
+        """Start new episodes; the info is empty, like the original's. The only option with an
+        effect is Gymnasium's `reset_mask`."""
         return super().reset(seed=seed, options=known_options(options))[0], {}
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
@@ -96,11 +96,11 @@ class SafetyVectorEnv(_Asynchronous, SixValueVectorEnv):
         return self.env.get_attr(name)  # pyright: ignore[reportAttributeAccessIssue]
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of every sub-environment, or return what is no method."""
+        """Call a method of every sub-environment; other attributes are returned as they are."""
         return self.env.call(name, *args, **kwargs)  # pyright: ignore[reportAttributeAccessIssue]
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Refuse: raises AttributeError, which says what to do."""
+        """Raise AttributeError, which says what to do instead."""
         self.env.set_attr(name, values)  # pyright: ignore[reportAttributeAccessIssue]
 
     def step(self, actions: Any) -> Six:
@@ -123,7 +123,7 @@ class SafetyVectorEnv(_Asynchronous, SixValueVectorEnv):
 
 
 class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
-    """Single environments with six values, made by functions, stepped one after the other."""
+    """Single environments with six values, made by functions and stepped one after another."""
 
     is_vector_env = True
 
@@ -138,7 +138,7 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
         self.action_space = batch_space(first.action_space, self.num_envs)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of every sub-environment, or return what is no method."""
+        """Call a method of every sub-environment; other attributes are returned as they are."""
         found = self.get_attr(name)
         return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
 
@@ -147,7 +147,7 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
         return tuple(env.get_wrapper_attr(name) for env in self.envs)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of every sub-environment: one value, or a list of one for each."""
+        """Set an attribute of every sub-environment to one value, or to the values of a list."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
         for env, value in zip(self.envs, each, strict=True):
             env.set_wrapper_attr(name, value)
@@ -162,7 +162,7 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes; a whole seed stands for seed, seed + 1, ..."""
+        """Start new episodes; an integer seed stands for seed, seed + 1, ..."""
         seeds: list[Any]
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
@@ -196,18 +196,18 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
 
     def close_extras(self, **_: Any) -> None:
         """Close all environments."""
-        for env in getattr(self, "envs", ()):  # gymnasium before 1.3 closes what was refused
+        for env in getattr(self, "envs", ()):  # Gymnasium < 1.3 also closes after a failed __init__
             env.close()
 
 
 SafetyAsyncVectorEnv = SafetySyncVectorEnv
-"""The environments of this package are fast enough to need no processes of their own."""
+"""Synchronous as well: this package's environments are fast enough without processes."""
 
 
 def tile_images(img_nhwc: Any, padding: int = 5) -> NDArray[Any]:
-    """Lay pictures [n, height, width, colours] out in rows, as near to a square as can be.
+    """Arrange pictures [n, height, width, colours] in rows, as close to a square as possible.
 
-    Each has `padding` pixels of 0 around it; places without a picture are 0.
+    Each picture gets `padding` pixels of 0 around it; places without a picture are 0.
     """
     pictures = np.pad(img_nhwc, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
     rows = int(np.ceil(np.sqrt(len(pictures))))

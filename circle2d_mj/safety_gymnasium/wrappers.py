@@ -1,4 +1,4 @@
-"""Wrappers of environments with six values, single or vector, by safety-gymnasium's names."""
+"""Wrappers with safety-gymnasium's names, for single or vector environments with six values."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ Gymnasium2SafetyGymnasium = SafetyGymnasiumAPI
 
 
 class _Wrapper(gym.Wrapper):
-    """A wrapper of single and vector environments; what it lacks, the environment inside has."""
+    """A wrapper of single or vector environments; other attributes are the inner environment's."""
 
     env: Any
 
     def __init__(self, env: Any) -> None:
         self.is_vector_env = hasattr(env, "single_action_space")
-        if self.is_vector_env:  # gymnasium's own wrappers have taken single ones alone since 1.0
+        if self.is_vector_env:  # since Gymnasium 1.0, gym.Wrapper only accepts single environments
             self.env, self._cached_spec = env, None
             self._action_space = self._observation_space = self._metadata = None
         else:
@@ -52,17 +52,17 @@ class _Wrapper(gym.Wrapper):
 
 
 class SafetyGymnasium2Gymnasium(_Wrapper):
-    """gymnasium's five values of an environment with six; the cost is `info["cost"]`.
+    """Wraps an environment with six values to return Gymnasium's five; the cost is `info["cost"]`.
 
-    Around a `gymnasium.vector.VectorEnv` it is a `gymnasium.vector.VectorWrapper`.
+    Around a `gymnasium.vector.VectorEnv`, the wrapper is a `gymnasium.vector.VectorWrapper`.
     """
 
     def __new__(cls, env: Any = None) -> Any:
-        """Make the wrapper of a vector environment, or of any other."""
+        """Make the wrapper for a vector environment or for any other environment."""
         return _FiveValueVectorEnv(env) if isinstance(env, VectorEnv) else super().__new__(cls)
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
-        """Start a new episode; its info holds the cost 0."""
+        """Start a new episode; the info has a cost of 0."""
         observation, info = self.env.reset(**arguments)
         return observation, {**info, "cost": np.float64(0.0)}
 
@@ -72,7 +72,7 @@ class SafetyGymnasium2Gymnasium(_Wrapper):
 
 
 class _FiveValueVectorEnv(VectorWrapper):
-    """The same of a vector environment; what it lacks, the environment inside has."""
+    """`SafetyGymnasium2Gymnasium` of a VectorEnv; other attributes are the inner environment's."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "env":
@@ -90,14 +90,14 @@ def _five(values: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
 
 
 def with_gymnasium_wrappers(env: Any, *wrappers: Callable[[Any], Any]) -> Any:
-    """Wrap an environment with six values in gymnasium's wrappers, the first one innermost."""
+    """Wrap an environment with six values in Gymnasium's wrappers, the first one innermost."""
     for wrapper in (SafetyGymnasium2Gymnasium, *wrappers, Gymnasium2SafetyGymnasium):
         env = wrapper(env)
     return env
 
 
 class SafePassiveEnvChecker(_Wrapper):
-    """Checks that observations lie in their space and costs are numbers; AssertionError else."""
+    """Raises AssertionError if an observation is outside its space or a cost is not finite."""
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         """Start a new episode."""
@@ -116,8 +116,8 @@ class SafePassiveEnvChecker(_Wrapper):
 
 
 class SafeAutoResetWrapper(_Wrapper):
-    """Resets at once where an episode ends: the observation is the next episode's first, the
-    info holds `final_observation` and `final_info`."""
+    """Resets at once when an episode ends: the observation is the next episode's first, and the
+    info has `final_observation` and `final_info`."""
 
     def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
@@ -130,7 +130,7 @@ class SafeAutoResetWrapper(_Wrapper):
 
 
 class SafeRescaleAction(_Wrapper):
-    """Actions within [min_action, max_action] instead of the space's own bounds."""
+    """Rescales actions from [min_action, max_action] to the bounds of the action space."""
 
     def __init__(self, env: Any, min_action: Any, max_action: Any) -> None:
         super().__init__(env)
@@ -150,7 +150,7 @@ class SafeRescaleAction(_Wrapper):
 
 
 class SafeTimeLimit(_Wrapper):
-    """Truncates after a number of steps."""
+    """Truncates episodes after max_episode_steps."""
 
     def __init__(self, env: Any, max_episode_steps: int) -> None:
         super().__init__(env)
@@ -169,7 +169,7 @@ class SafeTimeLimit(_Wrapper):
 
 
 class SafeNormalizeObservation(_Wrapper):
-    """Observations less their running mean, over their running deviation: `obs_rms`."""
+    """Normalises observations by their running mean and standard deviation, in `obs_rms`."""
 
     def __init__(self, env: Any, epsilon: float = 1e-8) -> None:
         super().__init__(env)
@@ -203,8 +203,8 @@ class SafeNormalizeObservation(_Wrapper):
 
 
 class _NormalizeReturn(_Wrapper):
-    """Rewards or costs over the running deviation of their discounted sum, which a step that
-    terminates starts anew."""
+    """Divides rewards or costs by the running standard deviation of their discounted sum, which
+    starts again at a step that terminates."""
 
     _place: int
 
@@ -224,20 +224,20 @@ class _NormalizeReturn(_Wrapper):
 
 
 class SafeNormalizeReward(_NormalizeReturn):
-    """Rewards over the running deviation of their discounted sum."""
+    """Divides rewards by the running standard deviation of their discounted sum."""
 
     _place = 1
 
 
 class SafeNormalizeCost(_NormalizeReturn):
-    """Costs over the running deviation of their discounted sum."""
+    """Divides costs by the running standard deviation of their discounted sum."""
 
     _place = 2
 
 
 class SafeUnsqueeze(_Wrapper):
-    """A leading axis of size 1 on all that `step` and `reset` return, as of a vector
-    environment; actions have it, too."""
+    """Adds a leading axis of size 1 to everything that `step` and `reset` return, as in a vector
+    environment; actions must have this axis, too."""
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         """Start a new episode."""

@@ -1,4 +1,4 @@
-"""`import safety_gymnasium` gives `circle2d_mj.safety_gymnasium`."""
+"""`import safety_gymnasium` imports `circle2d_mj.safety_gymnasium`."""
 
 from circle2d_mj.safety_gymnasium.naming import take_the_name
 
