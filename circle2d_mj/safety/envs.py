@@ -1,7 +1,7 @@
-"""Safety-Gymnasium's tasks as gymnasium environments."""
+"""Safety-Gymnasium's tasks as Gymnasium environments."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ METADATA: dict[str, Any] = {"render_modes": [*render_modes(), "depth_array"]}
 
 
 class SafetyVectorEnv(TaskVectorEnv):
-    """Many copies of one of `TASKS` or `OLD`, or of one's own, stepped together by MuJoCo.
+    """Many copies of one of `TASKS` or `OLD`, or of a task of your own, stepped together by MuJoCo.
 
     Observations, actions, rewards, costs and parameters: see the task's simulation. num_threads:
-    for MuJoCo's steps; it changes no number. Seeds, autoreset and errors: see `TaskVectorEnv`.
-    layout_seed: every episode of every copy starts as the first of `reset(seed=layout_seed)`.
-    Pictures: of a camera by name or id, width x height pixels, see `MuJoCoTask.choose_picture`;
-    with the render mode "depth_array" distances, m, float32 [height, width].
+    threads of MuJoCo's steps, with the same results for any number. Seeds, autoreset and errors:
+    see `TaskVectorEnv`. layout_seed: every episode of every copy starts like the first episode
+    after `reset(seed=layout_seed)`. Pictures show the view of a camera, chosen by name or id, with
+    width x height pixels: see `MuJoCoTask.choose_picture`; with the render mode "depth_array" they
+    are distances in m, float32 [height, width].
     """
 
     metadata = METADATA
@@ -83,29 +84,29 @@ class SafetyVectorEnv(TaskVectorEnv):
         self.metadata["render_fps"] = round(1 / simulation.step_seconds)
 
     def picture(self, index: int) -> Any:
-        """Draw environment `index` in the render mode; None without one, and in a window."""
+        """Draw environment `index` in the render mode; None without one or with "human"."""
         if self.render_mode == "depth_array":
             return self.simulation.depth(index)
         return super().picture(index)
 
     @property
     def live_model(self) -> Any:
-        """A copy of the model with all that is drawn."""
+        """A copy of the model with everything that is drawn."""
         if self._live_model is None:
             self._live_model = copy.copy(self.simulation.picture_model)
             self._model_bytes = _bytes(self._live_model)
         return self._live_model
 
     def live_data(self, index: int) -> Any:
-        """Environment `index` as an MjData of `live_model` that follows it; what is written into it
-        is refused by the next step."""
+        """Return an MjData of `live_model` that follows environment `index`. The next step raises
+        RuntimeError if it was written to."""
         if index not in self._live:
             self._live[index] = self.simulation.data(index)
         return self._live[index]
 
     def advance(self, actions: NDArray[np.float64]) -> Step:
-        """Take a step with checked actions. Raises RuntimeError where what `live_model` or
-        `live_data` gave was written to."""
+        """Take a step with checked actions. Raises RuntimeError if an object from `live_model` or
+        `live_data` was written to."""
         if self._live or self._live_model is not None:
             self._refuse_writes()
         results = super().advance(actions)
@@ -113,7 +114,7 @@ class SafetyVectorEnv(TaskVectorEnv):
         return results
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state. Raises ValueError for other names or shapes."""
+        """Load a state from `state_dict`. Raises ValueError for wrong names or shapes."""
         super().load_state_dict(state)
         self._follow()
 
@@ -135,46 +136,46 @@ class SafetyVectorEnv(TaskVectorEnv):
         for index, data in self._live.items():
             if (data.qpos != task.qpos[index]).any() or (data.qvel != task.qvel[index]).any():
                 raise RuntimeError(
-                    "data is a copy of the state, and was written to: places and layout_seed are "
-                    "parameters of make; load_state_dict and circle2d_mj.safety.original.load put "
-                    "an environment into a state"
+                    "data is a copy of the state, and writing to it has no effect: choose starts "
+                    "by make's parameters places and layout_seed; set a state by load_state_dict "
+                    "or circle2d_mj.safety.original.load"
                 )
         model = self._live_model
         if model is not None and not np.array_equal(_bytes(model), self._model_bytes):
-            raise RuntimeError(f"model is a copy of the task's, and was written to: {HOW}")
+            raise RuntimeError(f"model is a copy of the task's, changes have no effect: {HOW}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_live": {}, "_live_model": None}
 
     def copy_of(self, index: int) -> SafetyCopy:
-        """Return sub-environment `index`, to read from."""
+        """Return sub-environment `index` as a read-only `SafetyCopy`."""
         return SafetyCopy(self, index)
 
 
 class SafetyCopy(Copy):
-    """One copy of a task in a vector environment, to read from."""
+    """A read-only copy of a task in a vector environment."""
 
     _envs: SafetyVectorEnv
 
     @property
     def task(self) -> TaskView | None:
-        """The task as code for safety-gymnasium reads it; None for bodies with a speed limit."""
+        """The task with safety-gymnasium's attributes; None for bodies with a speed limit."""
         navigates = isinstance(self._envs.simulation, NavigationTask)
         return TaskView(self._envs, self._index) if navigates else None
 
     @property
     def model(self) -> Any:
-        """MuJoCo's model, a copy: see `SafetyVectorEnv.live_model`."""
+        """Copy of MuJoCo's model: see `SafetyVectorEnv.live_model`."""
         return self._envs.live_model
 
     @property
     def data(self) -> Any:
-        """MuJoCo's data, a copy: see `SafetyVectorEnv.live_data`."""
+        """Copy of MuJoCo's data: see `SafetyVectorEnv.live_data`."""
         return self._envs.live_data(self._index)
 
     @property
     def dt(self) -> float:
-        """Seconds of a step."""
+        """Seconds per environment step."""
         return self._envs.simulation.step_seconds
 
 
@@ -205,28 +206,28 @@ class SafetyEnv(TaskEnv):
 
     @property
     def task(self) -> TaskView | None:
-        """The task as code for safety-gymnasium reads it; None for bodies with a speed limit."""
+        """The task with safety-gymnasium's attributes; None for bodies with a speed limit."""
         return self._copy.task
 
     @property
     def model(self) -> Any:
-        """MuJoCo's model, a copy: see `SafetyVectorEnv.live_model`."""
+        """Copy of MuJoCo's model: see `SafetyVectorEnv.live_model`."""
         return self._copy.model
 
     @property
     def data(self) -> Any:
-        """MuJoCo's data, a copy: see `SafetyVectorEnv.live_data`."""
+        """Copy of MuJoCo's data: see `SafetyVectorEnv.live_data`."""
         return self._copy.data
 
     @property
     def dt(self) -> float:
-        """Seconds of a step."""
+        """Seconds per environment step."""
         return self._copy.dt
 
     @property
     def obs_space_dict(self) -> Any:
-        """The parts of a navigation task's observation by name, in its order."""
-        assert self.task is not None, "of navigation tasks alone"
+        """Spaces of the parts of a navigation task's observation, by name and in order."""
+        assert self.task is not None, "only navigation tasks have obs_space_dict"
         return self.task.obs_info.obs_space_dict
 
 

@@ -1,4 +1,4 @@
-"""The families of navigation tasks: what is rewarded, and what a goal is."""
+"""The families of navigation tasks, with their rewards and goals."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from circle2d_mj.safety.navigation import Flags, Floats, NavigationTask
 from circle2d_mj.safety.scenes import Scene
 
 BUTTON_DELAY = 10
-"""Steps after a press during which buttons are not seen and wrong ones do not cost"""
+"""Steps after a press during which buttons are not seen and wrong buttons do not cost."""
 
 
 class _WithGoal(NavigationTask):
-    """A goal that is drawn anew among the other objects; no place for one ends the episode."""
+    """A task whose goal, once reached, moves to a random place; if none is free, episodes end."""
 
     has_goals = True
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
-        # The original draws the goal a second time before anyone sees it.
+        # The original draws the goal a second time before the first observation.
         if "goal" not in self.given:
             self._draw_goals(index)
 
@@ -33,7 +33,7 @@ class _WithGoal(NavigationTask):
         return terminated
 
     def _draw_goals(self, index: NDArray[np.intp]) -> Flags:
-        """Move the goals of the environments `index`; return where a place was found."""
+        """Move the goals of the environments `index`; return the mask of those that had a place."""
         row = self.world.rows["goal"].start
         areas, places = self.world.areas, self._places[index]
         place, found = layout.sample_again(self._goals, index, areas, row, places)
@@ -43,8 +43,8 @@ class _WithGoal(NavigationTask):
 
 
 class GoalTask(_WithGoal):
-    """Go from goal to goal. The reward is the way made towards it, m, and 1 for reaching it: the
-    agent's origin within 0.3 m of the goal's. A goal that is reached moves at once."""
+    """Go from goal to goal. The reward is the progress towards the goal, m, plus 1 for reaching it:
+    the agent's origin is within 0.3 m of the goal's. A goal that is reached moves at once."""
 
     family = "Goal"
 
@@ -56,8 +56,8 @@ class GoalTask(_WithGoal):
 
 
 class PushTask(_WithGoal):
-    """Push a box from goal to goal. The reward is the way made by the agent towards the box and by
-    the box towards the goal, m, both in space, and 1 for the box within 0.3 m of the goal."""
+    """Push a box from goal to goal. The reward is the progress of the agent towards the box and of
+    the box towards the goal, m, measured in 3D, plus 1 if the box is within 0.3 m of the goal."""
 
     family = "Push"
 
@@ -75,9 +75,9 @@ class PushTask(_WithGoal):
 
 
 class ButtonTask(NavigationTask):
-    """Press one of four buttons, then the next. The reward is the way made towards it, m, and 1
-    for touching it. The next is drawn from all four; for ten steps after a press buttons are not
-    seen, and touching a wrong one does not cost."""
+    """Press one of four buttons, then the next. The reward is the progress towards the goal button,
+    m, plus 1 for touching it. The next goal button is drawn from all four. For ten steps after a
+    press, buttons are not seen, and touching a wrong button does not cost."""
 
     family = "Button"
     has_goals = True
@@ -131,11 +131,11 @@ class ButtonTask(NavigationTask):
         self._look()
 
     def _touched(self) -> Flags:
-        """Which buttons the agent touches: [num_envs, 4]."""
+        """Return which buttons the agents touch: [num_envs, 4]."""
         return self.sensors[:, self.world.touch["buttons"]] > 0
 
     def numbers(self) -> Floats:
-        """Return the observations; no lidar sees buttons while the timer runs."""
+        """Return the observations' numbers; no lidar sees buttons while the timer runs."""
         observation = super().numbers()
         lidars = self.world.scene.lidars
         if "buttons" in lidars:
@@ -144,20 +144,20 @@ class ButtonTask(NavigationTask):
         return observation
 
     def state_dict(self) -> State:
-        """Return all that steps depend on."""
+        """Return everything that steps depend on."""
         buttons = {"goal_button": self.goal_button.copy(), "timer": self.timer.copy()}
         return {**super().state_dict(), **buttons}
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         self.goal_button[:], self.timer[:] = state["goal_button"], state["timer"]
         super().load_state_dict(state)
 
 
 class CircleTask(NavigationTask):
-    """Run round a circle of radius 1.5 m, anticlockwise. For the agent's velocity (u, v) at (x, y),
-    at the distance r from the middle, the reward is 0.1 (v x - u y) / r / (1 + |r - 1.5|). Beyond
-    the walls it costs."""
+    """Run round a circle of radius 1.5 m, anticlockwise. For an agent at (x, y) with velocity
+    (u, v), at distance r from the centre, the reward is 0.1 (v x - u y) / r / (1 + |r - 1.5|).
+    Steps beyond the walls cost."""
 
     family = "Circle"
 
@@ -166,7 +166,7 @@ class CircleTask(NavigationTask):
 
 
 class RunTask(NavigationTask):
-    """Run south, about 60 a metre, between two walls; beyond them it costs."""
+    """Run south between two walls; steps beyond them cost. The reward is about 60 per metre."""
 
     family = "Run"
 

@@ -12,23 +12,23 @@ from circle2d_mj.core.streams import Streams
 Floats = NDArray[np.float64]
 
 OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
-_AT_ONCE = 32  # attempts, where the first has failed
-_BLOCK = 10  # points that are tried at first; more are seldom needed
+_AT_ONCE = 32  # attempts made at once after the first has failed
+_BLOCK = 10  # points tried at first; more are seldom needed
 
 
 class ResamplingError(RuntimeError):
-    """No layout was found; the name is safety-gymnasium's."""
+    """Raised if no layout is found; the name is safety-gymnasium's."""
 
 
 class Areas(NamedTuple):
-    """Where each of k objects may be placed, in the order in which they are."""
+    """Where each of k objects may be placed, in the order of placement."""
 
     centre: Floats
-    """[k, 2] m"""
+    """[k, 2] m, centres of the rectangles in which objects' centres are placed."""
     half: Floats
-    """[k, 2] m, half-widths of the rectangle that holds the object's centre"""
+    """[k, 2] m, half-widths of these rectangles."""
     keepout: Floats
-    """[k] m; two objects are at least the sum of theirs apart."""
+    """[k] m; the distance of two objects is at least the sum of their keepouts."""
 
 
 def sample_layout(
@@ -39,9 +39,9 @@ def sample_layout(
 ) -> Floats:
     """Draw a place for each object of the environments `index`: [len(index), objects, 2] m.
 
-    One object after the other is drawn uniformly from its rectangle until it is far enough from
-    those before it. Where 100 draws of one have failed, that environment starts over. Raises
-    ResamplingError where 10 000 attempts or a few more have failed.
+    Objects are placed one after another: each is drawn uniformly from its rectangle until it is far
+    enough from the previous ones. If 100 draws of an object fail, the environment starts over.
+    Raises ResamplingError if `layout_tries` attempts, or up to 31 more, have failed.
     """
     layout, complete = _attempt(streams, index, areas)
     waiting, attempts = np.flatnonzero(~complete), 1
@@ -51,7 +51,7 @@ def sample_layout(
                 f"no layout found in {layout_tries} attempts: {len(areas.keepout) - 1} objects are "
                 "too many for the space"
             )
-        # Crowded layouts fail often: many attempts at once, each with a stream of its own.
+        # Crowded layouts fail often: make many attempts at once, each with its own stream.
         keys = stream_keys(streams, index[waiting], _AT_ONCE).ravel()
         tried, complete = _attempt(Streams(keys), np.arange(len(keys)), areas)
         complete = complete.reshape(-1, _AT_ONCE)
@@ -72,10 +72,10 @@ def stream_keys(streams: Streams, index: NDArray[np.intp], count: int) -> NDArra
 def sample_again(
     streams: Streams, index: NDArray[np.intp], areas: Areas, row: int, layout: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Draw a new place for one object among the others, and return whether there was one.
+    """Draw a new place for the object `row` among the others, and return whether one was found.
 
-    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old place does not
-    block. Where none of 10 000 points is free, the old place is returned.
+    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The new place may
+    overlap the old one. If none of 10 000 points is free, the old place is returned.
     """
     keepout = areas.keepout
     others, apart = np.delete(layout, row, axis=1), keepout[row] + np.delete(keepout, row)
@@ -88,11 +88,11 @@ def sample_again(
 def _attempt(
     streams: Streams, index: NDArray[np.intp], areas: Areas
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Draw layouts, and return which are complete: [len(index), objects, 2], [len(index)]."""
+    """Try to draw layouts once -> [len(index), objects, 2], and whether complete [len(index)]."""
     count = len(areas.keepout)
     layout = np.empty((len(index), count, 2))
     complete = np.ones(len(index), dtype=bool)
-    # One large draw for what all objects most likely need costs less than a draw for each.
+    # One large draw, most likely enough for all objects, costs less than a draw for each.
     points = _unit_points(streams, index, count * _BLOCK).reshape(-1, count, _BLOCK, 2)
     for i in range(count):
         layout[complete, i], complete[complete] = _first_free(
@@ -120,9 +120,9 @@ def _first_free(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first of `tries` points of each environment that is clear of the others.
 
-    points: the first block of them, in units of the area, [n, block, 2]; area: its centre and
-    half-widths, [2] each; others: [n, k, 2]; apart: [k], distances to keep -> [n, 2] (the first
-    point where none is free), and bool [n].
+    points: the first block of points, in units of the area, [n, block, 2]; area: centre and
+    half-widths, [2] each; others: [n, k, 2]; apart: [k], least distances -> [n, 2] (any tried point
+    if none is free), and whether it is free, bool [n].
     """
     centre, half = area
     place, found = _pick(centre + points * half, others, apart)
@@ -137,7 +137,8 @@ def _first_free(
 
 
 def _pick(points: Floats, others: Floats, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the first of points [n, block, 2] that is `apart` from others [n, k, 2]."""
+    """Return the first of points [n, block, 2] that is `apart` [k] from others [n, k, 2], and
+    whether there is one."""
     dx = points[:, :, None, 0] - others[:, None, :, 0]
     dy = points[:, :, None, 1] - others[:, None, :, 1]
     free = np.logical_and.reduce(np.sqrt(dx * dx + dy * dy) >= apart, axis=-1)
@@ -146,5 +147,5 @@ def _pick(points: Floats, others: Floats, apart: Floats) -> tuple[Floats, NDArra
 
 
 def _unit_points(streams: Streams, index: NDArray[np.intp], count: int) -> Floats:
-    """Draw uniform points of the square [-1, 1]² from each stream: [len(index), count, 2]."""
+    """Draw uniform points in the square [-1, 1]² from each stream: [len(index), count, 2]."""
     return 2.0 * streams.uniform(index, draws=count // 2).reshape(-1, count, 2) - 1.0

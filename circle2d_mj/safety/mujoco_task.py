@@ -1,7 +1,7 @@
-"""Many copies of one MuJoCo model, stepped together: the common part of the tasks."""
+"""Many copies of one MuJoCo model, stepped together: the base class of the tasks."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 FRAME_SIZE = 640
-"""Pixels along each side of a picture, where no others are asked for"""
+"""Default number of pixels along each side of a picture."""
 FREE_NAMES = ("free", "human")
 """Names of MuJoCo's free camera; the second is safety-gymnasium's."""
 
@@ -27,14 +27,14 @@ FREE_NAMES = ("free", "human")
 class MuJoCoTask:
     """`num_envs` copies of a model: the part of a `Simulation` that all tasks have in common.
 
-    `qpos` and `qvel`, [num_envs, ...], are views of MuJoCo's own states: writing to them changes
-    those. `begin` and `advance` update `sensors` [num_envs, ...]. num_threads: of MuJoCo's steps;
-    all give bit-identical results. persistent: whether MuJoCo keeps all that it computes, for
-    `batch.get_data`. `arguments` are those of the subclass, for copying and pickling.
+    `qpos` and `qvel`, [num_envs, ...], are views of MuJoCo's states: writing to them changes the
+    states. `begin` and `advance` update `sensors` [num_envs, ...]. num_threads: threads of MuJoCo's
+    steps; results are bit-identical for any number. persistent: whether MuJoCo keeps all computed
+    quantities, for `batch.get_data`. arguments: those of the subclass, for copying and pickling.
     """
 
     camera: ClassVar[str] = "track"
-    """The camera of pictures, where no other is asked for"""
+    """Default camera of pictures."""
 
     def __init__(
         self,
@@ -71,12 +71,12 @@ class MuJoCoTask:
 
     @property
     def picture_model(self) -> mujoco.MjModel:
-        """Model of `data` and of pictures: the task's own, unless more is drawn than collides."""
+        """Model of `data` and pictures: the task's own, unless some drawn objects are not in it."""
         return self.model
 
     @property
     def step_seconds(self) -> float:
-        """Simulated time of a step of the task, s."""
+        """Simulated time of an environment step, s."""
         return self._substeps * self.model.opt.timestep
 
     def begin(self, index: NDArray[np.intp], qpos: Floats, qvel: Floats | float = 0.0) -> None:
@@ -88,7 +88,7 @@ class MuJoCoTask:
             self._sense(index)
 
     def advance(self, control: Floats) -> None:
-        """Hold the controls, [num_envs, nu], for one step of the task."""
+        """Hold the controls, [num_envs, nu], for one environment step."""
         self._control[:] = control
         self._take_substeps()
         self._sense(slice(None))
@@ -101,11 +101,11 @@ class MuJoCoTask:
         self.batch.step(self.moving, nstep=self._substeps, stage=self._stage)
 
     def state_dict(self) -> State:
-        """Return MuJoCo's states in full, warm starts included, and the sensors' values."""
+        """Return MuJoCo's full states, including warm starts, and the sensors' values."""
         return {"mujoco": self.batch.state.copy(), "sensors": self.sensors.copy()}
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         self.batch.state[:] = state["mujoco"]
         self.sensors[:] = state["sensors"]
 
@@ -126,7 +126,8 @@ class MuJoCoTask:
         """Set what `frame` and `depth` draw: the camera, by name or id, and the size in pixels.
 
         Names: those of `picture_model`, and "free" or "human" for MuJoCo's free camera, whose id is
-        -1. Raises ValueError for another camera and for both, TypeError or ValueError for a size.
+        -1. Raises ValueError for an unknown camera, or if both name and id are given; TypeError or
+        ValueError for a wrong size.
         """
         self._size = positive_integer("width", width), positive_integer("height", height)
         self._camera = self._camera_of(camera_name, camera_id)
@@ -152,11 +153,11 @@ class MuJoCoTask:
         return number
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """Draw environment `index` as the chosen camera sees it: [height, width, 3]."""
+        """Draw environment `index` with the chosen camera: [height, width, 3]."""
         return self._drawer().draw(self._drawn(index), self._camera_id)
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """Return how far what the chosen camera sees is along its axis, m: [height, width]."""
+        """Return the depths along the chosen camera's axis, m: [height, width]."""
         return self._drawer().depth(self._drawn(index), self._camera_id)
 
     def _drawer(self) -> Offscreen:
@@ -167,7 +168,7 @@ class MuJoCoTask:
         return self._offscreen
 
     def _drawn(self, index: int) -> mujoco.MjData:
-        """Environment `index` with what a picture shows: places, and no contacts or forces."""
+        """Return environment `index` with what a picture needs, without contacts and forces."""
         model = self.picture_model
         if self._to_draw is None:
             self._to_draw = mujoco.MjData(model)

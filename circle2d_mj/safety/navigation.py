@@ -1,7 +1,7 @@
-"""Agents among objects: the common part of the navigation tasks. What a goal is: `families`."""
+"""Agents among objects: the base class of the navigation tasks. `families` adds the goals."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -37,24 +37,26 @@ class NavigationTask(MuJoCoTask):
 
     | info | meaning | unit |
     | --- | --- | --- |
-    | cost | 1.0 where any kind of cost is, else 0.0 | |
-    | cost_... | the same for one kind: see `scenes` | |
-    | goal_met | 1.0 where the step reached the goal, else 0.0; of families with goals | |
-    | x_position, y_position | where the agent is in the world | m |
+    | cost | 1.0 if there is any kind of cost, else 0.0 | |
+    | cost_... | 1.0 if there is this kind of cost, else 0.0: see `scenes` | |
+    | goal_met | 1.0 if the step reached the goal, else 0.0; in families with goals | |
+    | x_position, y_position | position of the agent in the world | m |
 
-    The observation is the agent's sensors, then 16 numbers for each lidar. Starts: a layout, all
-    headings and turns of objects uniform, everything at rest. Source: safety-gymnasium 1.0.0.
+    The observation is the agent's sensors, then 16 numbers for each lidar. An episode starts with a
+    random layout, uniform headings and rotations of objects, and everything at rest. Source:
+    safety-gymnasium 1.0.0.
 
     Parameters that replace those of the level: the numbers of `hazards`, `vases`, `pillars` and
     `gremlins`, for the kinds that the level has, from 0 to 100 (the observation keeps its size),
-    and `half_width`, m, of the square in which all are placed. `places` gives, by kind or for the
-    "agent", where the first of them start, as in `places={"hazards": [(0, 0), (1, 0)]}`, m; a goal
-    that is given is an episode's first. With `vision_size`, (width, height) in pixels, observations
-    are dicts of parts by safety-gymnasium's names, float64, and "vision", what the agent's camera
-    sees, uint8 [height, width, 3]; ids with `Vision` have (256, 256). Raises TypeError for a
-    parameter that the task does not have, ValueError for a value.
+    and `half_width`, m, of the square in which everything is placed. `places` sets the starting
+    places of the first objects of a kind, or of the "agent", as in
+    `places={"hazards": [(0, 0), (1, 0)]}`, m; for a goal, that of the episode's first goal. With
+    `vision_size`, (width, height) in pixels, observations are dicts of parts with
+    safety-gymnasium's names, float64, and "vision", the picture of the agent's camera, uint8
+    [height, width, 3]; ids with `Vision` have (256, 256). Raises TypeError for a parameter that the
+    task does not have, ValueError for a value that is not allowed.
 
-    level: of the task, or a `Scene` of one's own.
+    level: of the task, or a `Scene` of your own.
     """
 
     family: ClassVar[str]
@@ -104,12 +106,12 @@ class NavigationTask(MuJoCoTask):
         self._mocap_quat = self.batch.bind("mocap_quat").reshape(n, -1, 4)
         rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
         self.rotations = rotations[:, 1 : 1 + self.agent.bodies]
-        """Orientations of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
+        """Rotation matrices of the agent's bodies, its root first: [num_envs, bodies, 3, 3]."""
         rows = self.world.rows
         counts = [rows[kind].stop - rows[kind].start for kind in scene.lidars]
         groups = np.repeat(np.arange(len(counts)), counts)
         shown = [i for kind in scene.lidars for i in range(rows[kind].start, rows[kind].stop)]
-        # Mostly all that is placed, in the order in which it is.
+        # Mostly the lidars show all objects, in the order of placement: then a slice is faster.
         every = shown == list(range(1, len(self.world.areas.keepout)))
         self._shown = slice(1, None) if every else np.array(shown, dtype=np.intp)
         self._lidars = rules.Lidars(n, groups, len(counts), scene.reach) if counts else None
@@ -121,11 +123,11 @@ class NavigationTask(MuJoCoTask):
         kind_of_rest = Circling if self._driven else Resting
         of_free = self.world, self._taken, self._free_qpos, self._free_qvel
         self._rests = kind_of_rest(self.batch, *of_free) if free else None
-        # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
+        # Where everything was placed, m: [num_envs, objects, 2]; for goals the current place.
         self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
         self._places = self._layout.copy()  # where everything is now
         self._look()
-        # New goals are drawn in the middle of an episode, from streams which `start` seeds.
+        # New goals within an episode are drawn from these streams, which `start` seeds.
         self._goals = Streams(np.zeros(n, dtype=np.uint64))
 
     @property
@@ -135,22 +137,22 @@ class NavigationTask(MuJoCoTask):
 
     @property
     def alive(self) -> Flags:
-        """Whether the agents are high enough: [num_envs]."""
+        """Whether the agents are above their lowest allowed height: [num_envs]."""
         lowest = self.agent.lowest
         return self._position[:, 2] > (-np.inf if lowest is None else lowest)
 
     @property
     def layout(self) -> Floats:
-        """Where everything was put, m: [num_envs, objects, 2]; the place of a goal is current."""
+        """Where everything was placed, m: [num_envs, objects, 2]; for goals the current place."""
         return self._layout.copy()
 
     @property
     def places(self) -> Floats:
-        """Where everything is now, m: [num_envs, objects, 2]; rows: `world.rows`."""
+        """Current places of everything, m: [num_envs, objects, 2]; rows: `world.rows`."""
         return self._places.copy()
 
     def positions(self, kind: str) -> Floats:
-        """Where objects of a kind, or the agent, are now in space, m: [num_envs, k, 3]."""
+        """Return the current positions of a kind of objects or the agent, m: [num_envs, k, 3]."""
         if kind == "agent":
             return self._position[:, None].copy()
         if self.world.kinds[kind].physics in ("free", "driven"):
@@ -160,7 +162,7 @@ class NavigationTask(MuJoCoTask):
         return np.concatenate((places, height), axis=-1)
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Lay the environments `index` out anew, everything at rest."""
+        """Draw new layouts for the environments `index`, everything at rest."""
         free = self._free_qpos.shape[1]
         self._goals.reseed(index, layout.stream_keys(streams, index, 1)[:, 0])
         draw = streams.uniform(index, draws=1 + (free + self.agent.noise) // 4)
@@ -178,10 +180,10 @@ class NavigationTask(MuJoCoTask):
         half_turns: Floats,
         noise: Floats | None = None,
     ) -> None:
-        """Put agents and objects of the environments `index` down, at rest.
+        """Place agents and objects of the environments `index`, at rest.
 
         places: [len(index), objects, 2]; heading: [len(index)]; half_turns: [len(index), free
-        objects], half of each one's rotation about the vertical; noise: of the agent's joints.
+        objects], half of each object's rotation about the vertical; noise: of the agent's joints.
         """
         world, n = self.world, len(index)
         self._layout[index] = places
@@ -204,7 +206,7 @@ class NavigationTask(MuJoCoTask):
         self.settle(index)
 
     def settle(self, index: NDArray[np.intp]) -> None:
-        """Bring sensors and places in line with states that were just written."""
+        """Update sensors and places after states were written."""
         if self._rests:
             self._rests.wake(index)
         self.batch.forward(index)
@@ -216,12 +218,12 @@ class NavigationTask(MuJoCoTask):
         self._time[index] = time
 
     def put_gremlins(self, index: int, offset: Floats) -> None:
-        """Set where gremlins aim, relative to their places: [gremlins, 3] m."""
+        """Set the gremlins' targets, relative to their places: [gremlins, 3] m."""
         assert isinstance(self._rests, Circling)
         self._mocap_pos[index, self._first_gremlin :] = self._rests.at_rest[index] + offset
 
     def step(self, action: Floats) -> Outcome:
-        """Move all agents by their actions, [num_envs, nu], and renew the goals that they reach."""
+        """Move all agents with their actions, [num_envs, nu], and renew the goals they reach."""
         before = self._lengths()
         self.advance(action)
         self._look()
@@ -263,7 +265,7 @@ class NavigationTask(MuJoCoTask):
         return np.concatenate(read, axis=1)
 
     def _see(self) -> NDArray[np.uint8]:
-        """Pictures of the agents' cameras: [num_envs, height, width, 3]."""
+        """Return the pictures of the agents' cameras: [num_envs, height, width, 3]."""
         assert self.vision_size is not None
         if self._eye is None:
             self._eye = Offscreen(self.picture_model, *self.vision_size)
@@ -271,19 +273,19 @@ class NavigationTask(MuJoCoTask):
         return np.stack([self._eye.draw(self._drawn(i), camera) for i in range(self.num_envs)])
 
     def close(self) -> None:
-        """Close what pictures and windows opened."""
+        """Close all renderers and windows."""
         super().close()
         if self._eye is not None:
             self._eye.close()
         self._eye = None
 
     def state_dict(self) -> State:
-        """Return all that steps depend on."""
+        """Return everything that steps depend on."""
         goals = {"goal_keys": self._goals.keys.copy(), "goal_counters": self._goals.counters.copy()}
         return {**super().state_dict(), "layout": self._layout.copy(), **goals}
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         super().load_state_dict(state)
         self._layout[:] = state["layout"]
         if isinstance(self._rests, Circling):
@@ -295,7 +297,7 @@ class NavigationTask(MuJoCoTask):
 
     @property
     def picture_model(self) -> mujoco.MjModel:
-        """The model with all that is drawn."""
+        """The model with everything that is drawn."""
         return worlds.picture_model(*self._of_world)
 
     def _fill(self, data: Any, index: int) -> None:
@@ -309,29 +311,29 @@ class NavigationTask(MuJoCoTask):
                 data.mocap_pos[count:after, :2] = self._places[index, rows]
                 count = after
 
-    # What a family may have of its own.
+    # Methods that a family may override.
 
     def _lengths(self) -> Floats:
-        """Lengths whose decrease is the reward: [num_envs, any]."""
+        """Return the lengths whose decrease is the reward: [num_envs, any]."""
         return np.zeros((self.num_envs, 0))
 
     def _met(self, lengths: Floats) -> Flags:
-        """Whether the goal is reached in states with these lengths: [num_envs]."""
+        """Return whether the goal is reached in states with these lengths: [num_envs]."""
         return np.zeros(self.num_envs, dtype=bool)
 
     def _reward(self, before: Floats, after: Floats, met: Flags) -> Floats:
-        """The reward of steps that changed the lengths so: [num_envs]."""
+        """Return the reward of steps from lengths `before` to lengths `after`: [num_envs]."""
         return rules.way_made(before, after, met)
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
-        """Choose the goals of the environments `index`, which just started."""
+        """Choose the goals of the environments `index`, whose episodes have just started."""
 
     def _renew_goals(self, met: Flags) -> Flags:
-        """Choose new goals where they were met; return where there is none: [num_envs]."""
+        """Choose new goals where `met`; return the mask of episodes that end without one."""
         return np.zeros(self.num_envs, dtype=bool)
 
     def _costs(self) -> dict[str, Floats]:
-        """Costs of each kind in the current state: [num_envs]."""
+        """Return the costs in the current state by kind, [num_envs] each."""
         return {kind: self._cost(kind) for kind in self.world.scene.costs}
 
     def _cost(self, kind: str) -> Floats:
@@ -346,7 +348,7 @@ class NavigationTask(MuJoCoTask):
         return rules.touch_cost(self.sensors[:, world.touch[kind.removesuffix("_contact")]])
 
     def _look(self) -> None:
-        """Update where everything is."""
+        """Update positions, places, offsets and distances from the current state."""
         self._position = self.agent.position(self.qpos)
         self._places[:] = self._layout
         self._places[:, 0] = self._position[:, :2]
@@ -356,7 +358,7 @@ class NavigationTask(MuJoCoTask):
         self._distance = rules.length(self._offset)
 
     def _take_substeps(self) -> None:
-        # The sensors of all substeps but the last would take a tenth of the time.
+        # Sensors are off in the substeps, where they would take a tenth of the time.
         self._flags.fill(self._all_on | _QUIET)
         if self._rests:
             self._rests.step(self._distance, self._places)
@@ -367,7 +369,7 @@ class NavigationTask(MuJoCoTask):
 
 
 def checked_size(size: Any) -> tuple[int, int] | None:
-    """Return a width and height, or None. Raises TypeError, or ValueError for other numbers."""
+    """Return a width and height, or None. Raises TypeError or ValueError for anything else."""
     if size is None:
         return None
     if not isinstance(size, Sequence) or len(size) != 2:
@@ -376,10 +378,10 @@ def checked_size(size: Any) -> tuple[int, int] | None:
 
 
 def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tuple[float, float]]]:
-    """Return the places given for the agent and kinds of objects, [k, 2] m each.
+    """Return the given places of the agent and of kinds of objects, k pairs (x, y) each, m.
 
-    Raises ValueError for other kinds, for more places than objects, for what is no place, and for
-    two that are nearer than their objects may be.
+    Raises ValueError for unknown kinds, for more places than objects, for anything but pairs of
+    finite numbers, and for two places that are closer than their objects may be.
     """
     fixed = {"circle", "goal"} if "buttons" in world.kinds else {"circle"}
     placed = [kind for kind in world.rows if kind not in fixed]
@@ -393,7 +395,7 @@ def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tu
             raise ValueError(f"places[{kind!r}] must be pairs (x, y), m, got {given!r}")
         if len(at) > rows.stop - rows.start:
             count = rows.stop - rows.start
-            raise ValueError(f"places[{kind!r}] must be {count} at most, got {len(at)}")
+            raise ValueError(f"places[{kind!r}] may hold at most {count}, got {len(at)}")
         found[kind] = [(float(x), float(y)) for x, y in at]
         keepouts = world.areas.keepout[rows]
         each += [(f"{kind}[{i}]", at[i], float(keepouts[i])) for i in range(len(at))]
@@ -401,13 +403,13 @@ def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tu
         apart, needed = float(np.hypot(*(one - place))), own + keepout
         if apart < needed:
             raise ValueError(
-                f"places: {name}, {other} are {apart:.3g} m apart; they need {needed:.3g}"
+                f"places: {name}, {other} are {apart:.3g} m apart; the minimum is {needed:.3g}"
             )
     return found
 
 
 def starting_areas(world: World, given: Mapping[str, list[tuple[float, float]]]) -> Areas:
-    """Return where everything may start: the world's areas, but points for the places given."""
+    """Return where everything may start: the world's areas, reduced to points at given places."""
     if not given:
         return world.areas
     centre, half = world.areas.centre.copy(), world.areas.half.copy()

@@ -1,4 +1,4 @@
-"""States of safety-gymnasium 1.0.0, to compare step by step: recorded there, loaded here.
+"""States recorded from safety-gymnasium 1.0.0 and loaded here, to compare step by step.
 
 original.load(env, state)
 observation, reward, terminated, truncated, info = env.step(action)
@@ -24,29 +24,29 @@ from circle2d_mj.safety.velocity import VelocityTask
 Floats = NDArray[np.float64]
 
 _frames: weakref.WeakKeyDictionary[MuJoCoTask, Floats] = weakref.WeakKeyDictionary()
-"""x, y and heading of the frame in which the original's Point joints act"""
+"""x, y and heading of the frame in which the joints of the original's Point act."""
 
 
 def load(env: gym.Env, state: Mapping[str, ArrayLike]) -> None:
     """Put a single environment, already reset, into a state of the original.
 
-    state: arrays by the original's names, those that the task has.
+    state: arrays by the original's names, as far as the task has them.
 
     | name | shape | meaning |
     | --- | --- | --- |
     | qpos, qvel | [nq], [nv] | the original's: agent, then vases, gremlins or box by number |
     | time | | since the reset, s |
     | agent_body_pos0, agent_body_quat0 | [3], [4] | pose of the agent's body in the model (Point) |
-    | qpos0 | [nq] | at the reset: where gremlins circle, and how they are turned |
+    | qpos0 | [nq] | qpos at the reset: where gremlins circle, and how they are turned |
     | hazards_pos, pillars_pos, buttons_pos | [k, 2 or 3] | places |
     | goal_pos | [2 or 3] | place of the goal |
     | mocap_pos | [k, 3] | offsets of the gremlins' targets from their places; may be missing |
     | goal_button, timer | | number of the goal button, steps for which buttons are off |
-    | torso_xpos, mass_center | [2 or 3] | Ant's, Humanoid's place as its speed is measured |
+    | torso_xpos, mass_center | [2 or 3] | place from which Ant's, Humanoid's speed is measured |
 
-    Without the last, the place is the one of qpos, and the speed of the next step is a little off.
-    The time limit of `gymnasium.make` is not touched. Raises TypeError for another environment,
-    ValueError where a name is missing or an array has another shape.
+    Without the last, the place follows from qpos, and the speed of the next step is slightly off.
+    The time limit of `gymnasium.make` is not changed. Raises TypeError for any other environment,
+    and ValueError if a name is missing or an array has a wrong shape.
     """
     task = _simulation(env)
     given = _Given(state)
@@ -88,7 +88,7 @@ def load(env: gym.Env, state: Mapping[str, ArrayLike]) -> None:
 def state(env: gym.Env) -> dict[str, Floats]:
     """Return qpos [nq] and qvel [nv] in the original's layout and frame.
 
-    The Point's frame is that of the last `load`, and the world's before any.
+    The Point's frame is that of the last `load`; before any `load` it is the world's.
     """
     task = _simulation(env)
     qpos, qvel = task.qpos[0].copy(), task.qvel[0].copy()
@@ -101,13 +101,13 @@ def state(env: gym.Env) -> dict[str, Floats]:
 
 
 class _Given:
-    """The state that was given, with its arrays checked."""
+    """The given state, whose arrays are checked when they are read."""
 
     def __init__(self, state: Mapping[str, ArrayLike]) -> None:
         self._state = state
 
     def array(self, name: str, *shape: int | None) -> Floats:
-        """Return an array of the shape; None alone: one number."""
+        """Return an array and check its shape; a single None stands for one number."""
         if name not in self._state:
             raise ValueError(f"state must hold {name!r}, got {sorted(self._state)}")
         expected = () if shape == (None,) else shape
@@ -117,7 +117,7 @@ class _Given:
         return found
 
     def places(self, name: str, count: int) -> Floats:
-        """Return [count, 2] of an array [count, 2 or 3], or of one place alone."""
+        """Return places [count, 2] from an array [count, 2 or 3] or a single place [2 or 3]."""
         if name not in self._state:
             raise ValueError(f"state must hold {name!r}, got {sorted(self._state)}")
         found = np.atleast_2d(np.asarray(self._state[name], dtype=np.float64))
@@ -147,7 +147,7 @@ def _simulation(env: gym.Env) -> Any:
 
 
 def _into_world(frame: Floats, qpos: Floats, qvel: Floats) -> tuple[Floats, Floats]:
-    """Return states of the Point with its joints along the world's axes."""
+    """Convert states of the Point from a frame to joints along the world's axes."""
     qpos, qvel = qpos.copy(), qvel.copy()
     qpos[:2] = frame[:2] + _turned(qpos[:2], frame[2])
     qpos[2] += frame[2]

@@ -1,4 +1,4 @@
-"""Tasks of one's own from the suite's parts: its robots, objects, costs, lidars and rewards."""
+"""Tasks of your own, made from the suite's robots, objects, costs, lidars and rewards."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OF_FAMILY = {
     "Button": {"buttons": 4, "goal": 1},
     "Push": {"goal": 1, "push_box": 1},
 }
-"""Objects that each family brings by itself."""
+"""Objects that every task of a family has."""
 OBJECTS = ("hazards", "vases", "pillars", "gremlins")
 COSTS = {
     "hazards": "hazards",
@@ -32,7 +32,8 @@ COSTS = {
     "gremlins": "gremlins",
     "buttons": "buttons",
 }
-"""Kinds of costs, and of what: being in it, touching it (of buttons: a wrong one), moving it"""
+"""Kinds of costs, and the objects that cause them: by the agent being inside (hazards), by touch
+(of buttons: a wrong one), or by their speed."""
 KEEPOUTS = {"goal": 0.4, "hazards": 0.18, "vases": 0.15, "pillars": 0.3, "buttons": 0.2}
 KEEPOUTS |= {"gremlins": 0.4, "push_box": scenes.BOX["Point"][0]}
 
@@ -48,23 +49,23 @@ def register(
     half_width: float = 1.5,
     max_episode_steps: int = 1000,
 ) -> None:
-    """Register a task with gymnasium, as in `register("MyGoal-v0", "Goal", {"hazards": 4}, ...)`.
+    """Register a task with Gymnasium, as in `register("MyGoal-v0", "Goal", {"hazards": 4}, ...)`.
 
-    It has all that the suite's tasks have: `gym.make`, the native vector environment, infos,
-    parameters, pictures, the six values of `safety_gymnasium.make`, training.
+    The task supports everything that the suite's tasks do: `gym.make`, the native vector
+    environment, infos, parameters, pictures, the six values of `safety_gymnasium.make`, training.
 
-    family: "Goal", "Button" or "Push", which brings its goal, box or four buttons and its reward;
-    or a class derived from one in `circle2d_mj.safety.families`, which may replace `_reward`.
-    objects: how many of `OBJECTS`, in the order in which they are placed; of the box, vases and
-    gremlins, which move, one kind. costs: of `COSTS`. agent: Point, Car, Doggo, Racecar or Ant.
-    lidars: what is observed beside the agent's sensors, by default all that is placed. half_width:
-    of the square in which all are placed, m. Raises ValueError, and TypeError as `gymnasium.make`
-    for parameters.
+    family: "Goal", "Button" or "Push", which adds its goal, box or four buttons and its reward; or
+    a class derived from one in `circle2d_mj.safety.families`, which may replace `_reward`.
+    objects: number of each of `OBJECTS`, in the order of placement; at most one of the kinds that
+    move (box, vases, gremlins). costs: names from `COSTS`. agent: Point, Car, Doggo, Racecar or
+    Ant. lidars: kinds of objects that are observed besides the agent's sensors, by default all.
+    half_width: of the square in which everything is placed, m. Raises ValueError for names and
+    values that are not allowed; `gymnasium.make` raises TypeError for unknown parameters.
     """
     task = FAMILIES.get(family) if isinstance(family, str) else family
     if task is None or getattr(task, "family", None) not in FAMILIES:
         raise ValueError(
-            f"family must be one of {', '.join(FAMILIES)} or of theirs, got {family!r}"
+            f"family must be one of {', '.join(FAMILIES)} or a subclass of one, got {family!r}"
         )
     _check("agent", [agent], AGENTS)
     _check("objects", objects, OBJECTS)

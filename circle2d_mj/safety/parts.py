@@ -1,7 +1,7 @@
-"""The parts of a navigation task's observation by the names that safety-gymnasium gives them."""
+"""The parts of a navigation task's observation, with safety-gymnasium's names."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from circle2d_mj.safety import rules
 from circle2d_mj.safety.worlds import World
 
 PICTURE = "vision"
-"""Name of the agent's camera, and of what it sees in the observation"""
+"""Name of the agent's camera, and of its picture in the observation."""
 
 
 def of_world(world: World, picture: tuple[int, int] | None) -> Dict:
-    """Return the parts in the observation's order: the agent's sensors, the lidars and, where it
-    has a width and height, the picture, uint8 [height, width, 3]."""
+    """Return the parts in the observation's order: the agent's sensors, the lidars and, if
+    `picture` is (width, height), the picture, uint8 [height, width, 3]."""
     model, agent = world.model, world.agent
     shapes: dict[str, tuple[int, ...]] = {}
     later: dict[str, tuple[int, ...]] = {}
@@ -31,12 +31,12 @@ def of_world(world: World, picture: tuple[int, int] | None) -> Dict:
         if sensor.adr[0] >= agent.sensed:
             break
         angle = sensor.type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
-        place = sensor.type[0] == mujoco.mjtSensor.mjSENS_FRAMEPOS  # of which the height is seen
+        place = sensor.type[0] == mujoco.mjtSensor.mjSENS_FRAMEPOS  # only the height is observed
         size = 2 if angle else 1 if place else int(sensor.dim[0])
         (later if angle else shapes)[sensor.name] = (size,)
     if agent.name == "Car":
         later["ballquat_rear"] = (3, 3)
-    spaces: Any = OrderedDict()  # a dict would be sorted
+    spaces: Any = OrderedDict()  # Gymnasium's Dict would sort the names of a dict
     for name, shape in (shapes | later).items():
         spaces[name] = Box(-np.inf, np.inf, shape, np.float64)
     for kind in world.scene.lidars:
@@ -47,7 +47,7 @@ def of_world(world: World, picture: tuple[int, int] | None) -> Dict:
 
 
 def by_name(parts: Dict, numbers: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Cut the numbers of observations, [n, size], into their parts: [n, *shape of the part]."""
+    """Split the numbers of observations, [n, size], into parts: [n, *shape of the part]."""
     found, first = {}, 0
     for name, space in parts.items():
         if name != PICTURE:

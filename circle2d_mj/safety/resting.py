@@ -1,7 +1,7 @@
-"""Objects whose next state is known while nothing touches them: a step does not compute them."""
+"""Objects whose next state is known while nothing touches them, so that steps skip them."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from circle2d_mj.safety.worlds import World
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 AT_REST = 1e-8
-"""Speed in m/s and rad/s below which an object stands. At the start it is 0 exactly, and objects
-have yet to settle by micrometres."""
+"""Speed in m/s and rad/s below which an object rests. A speed of exactly 0 does not count: that is
+the start, when objects have yet to settle by micrometres."""
 ON_PATH = 1e-13
-"""How far a gremlin may be from its path, m, m/s and rad/s: rounding"""
+"""Deviation from its path, by rounding, that a gremlin may have, m, m/s and rad/s."""
 SETTLED = 0.5
 """Time after which a gremlin may be on its path, s; until then it catches up with its target."""
 
 
 class Resting:
-    """The free objects that rest out of reach: a step leaves them as they are.
+    """Free objects; a step leaves those that rest out of reach as they are.
 
-    Most of a step's time goes into contacts of objects with the floor. Those of objects that stand,
-    and that neither the agent nor an object that could move can touch within the step, are left
-    out, and the objects' states are put back after it. Which objects do is a function of the
-    state.
+    Contacts of objects with the floor take most of a step's time. A step therefore leaves out the
+    contacts of every object that rests and that neither the agent nor a moving object can touch
+    within the step, and restores the object's state afterwards. Which objects are left out is a
+    function of the state.
     """
 
     way = 0.0
-    """How far an object goes within a step by itself, m"""
+    """Distance that an object moves by itself within a step, m."""
 
     def __init__(
         self, batch: Batch, world: World, substeps: Substeps, qpos: Floats, qvel: Floats
@@ -50,7 +50,7 @@ class Resting:
         self._of_object = 2 * kind.radius + stride
         self._seconds = SUBSTEPS * world.model.opt.timestep
         first = world.model.body(worlds.names(kind, 1)[0]).geomadr[0]
-        shape = (*qpos.shape[:2], -1)  # [num_envs, k, geoms of one]
+        shape = (*qpos.shape[:2], -1)  # [num_envs, k, geoms per object]
         self._collides = [
             batch.expand(f"geom_{name}")[:, first:].reshape(shape)
             for name in ("contype", "conaffinity")
@@ -63,7 +63,7 @@ class Resting:
 
     def step(self, distance: Floats, places: Floats) -> None:
         """Take the substeps. distance: [num_envs, objects], from the agent; places: [.., 2]."""
-        speed = np.add.reduce(np.abs(self._qvel), axis=2)  # of both kinds: no less than of each
+        speed = np.add.reduce(np.abs(self._qvel), axis=2)  # bounds linear and angular speed
         awake = (speed == 0.0) | (speed >= AT_REST)
         awake = self._awake(awake, speed, distance[:, self._free], places[:, self._free])
         for collides in self._collides:
@@ -77,14 +77,14 @@ class Resting:
         np.copyto(self._qvel, qvel, where=asleep)
 
     def _awake(self, awake: Flags, speed: Floats, distance: Floats, places: Floats) -> Flags:
-        """Which objects may leave their known states: those `awake` and all within reach.
+        """Return which objects may leave their known states: the `awake` ones and all in reach.
 
-        Of all objects speeds [num_envs, k], distances from the agent [.., k] and places [.., k, 2].
+        awake, speed, distance (from the agent): [num_envs, k]; places: [num_envs, k, 2].
         """
         awake = awake | (distance < self._of_agent)
         if awake.shape[1] == 1 or not awake.any():
             return awake
-        # What is awake may push what it reaches, and that may push others.
+        # An awake object may push objects within its reach, and these may push others.
         reach = self._of_object + self._seconds * speed
         dx = places[:, :, None, 0] - places[:, None, :, 0]
         dy = places[:, :, None, 1] - places[:, None, :, 1]
@@ -97,10 +97,10 @@ class Resting:
 
 
 class Circling(Resting):
-    """The gremlins; one that nothing touches is moved along its path.
+    """The gremlins; a step moves those that nothing touches along their paths.
 
-    A gremlin is welded to a target on a circle, which moves before each substep. Where it is after
-    a number of steps, relative to its place, is the same for all, whatever their turns: `Path`.
+    A gremlin is welded to a target on a circle, which moves before each substep. Its position after
+    a number of steps, relative to its place, is the same for all gremlins and rotations: `Path`.
     """
 
     way = 0.02
@@ -110,16 +110,16 @@ class Circling(Resting):
     ) -> None:
         super().__init__(batch, world, substeps, qpos, qvel)
         self.at_rest = qpos[:, :, :3].copy()
-        """Where gremlins were placed, m: [num_envs, k, 3]"""
+        """Where gremlins were placed, m: [num_envs, k, 3]."""
         self._time = batch.bind("time").reshape(-1)
-        self._welded = batch.bind("eq_active")[:, -qpos.shape[1] :]  # behind the agent's own
+        self._welded = batch.bind("eq_active")[:, -qpos.shape[1] :]  # after the agent's equalities
         self._mocap_pos = batch.bind("mocap_pos").reshape(len(qpos), -1, 3)
         self._targets = self._mocap_pos[:, -qpos.shape[1] :]
         self._timestep = world.model.opt.timestep
         self._path = path(self._timestep, world.model.opt.integrator)
 
     def put(self, index: NDArray[np.intp], places: Floats) -> None:
-        """Set where gremlins of the environments `index` were placed, [len(index), k, 2] m."""
+        """Set the places of the gremlins of the environments `index`, [len(index), k, 2] m."""
         self.at_rest[index, :, :2] = places
 
     def wake(self, index: NDArray[np.intp]) -> None:
@@ -152,16 +152,16 @@ class Circling(Resting):
         np.copyto(self._qvel, after[:, None, 3:9], where=asleep)
 
     def _on_path(self, steps: NDArray[np.intp], here: Floats) -> Flags:
-        """Which gremlins are where the path is: [num_envs, k]."""
+        """Return which gremlins are on the path: [num_envs, k]."""
         off = np.abs(self._qpos[:, :, :3] - (self.at_rest + here[:, None, :3]))
-        # One that does not turn is turned as its target is: the weld would turn it otherwise.
+        # A gremlin that does not rotate has its target's orientation, or the weld would rotate it.
         moves = np.abs(self._qvel - here[:, None, 3:9])
         farthest = np.maximum(np.maximum.reduce(off, axis=2), np.maximum.reduce(moves, axis=2))
-        whole = np.abs(self._time - steps * self._seconds) < 1e-9  # of steps, s
+        whole = np.abs(self._time - steps * self._seconds) < 1e-9  # time is a multiple of a step
         return (farthest < ON_PATH) & (whole & (self._time > SETTLED))[:, None]
 
     def _follow_targets(self, index: NDArray[np.intp]) -> None:
-        """Take the substeps of the environments `index`, before each of which targets move."""
+        """Take the substeps of the environments `index`; targets move before each substep."""
         clock = np.full((len(index), SUBSTEPS), self._timestep)
         clock[:, 0] = self._time[index]
         offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
@@ -171,10 +171,10 @@ class Circling(Resting):
 
 
 class Path:
-    """Where a gremlin is after each step, relative to its place at the start.
+    """Positions of a gremlin after each step, relative to its place at the start.
 
-    It is computed once in a process, by MuJoCo, as far as steps ask for it. Nothing turns there, so
-    that all of MuJoCo's Runge-Kutta schemes agree.
+    MuJoCo computes them once per process, as far as they are needed. Nothing rotates, so that all
+    versions of MuJoCo's Runge-Kutta scheme agree.
     """
 
     def __init__(self, timestep: float, integrator: int) -> None:
@@ -184,8 +184,8 @@ class Path:
         self._states = np.zeros((1, 12))
 
     def around(self, steps: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return [n, 12] after numbers of steps [n], and after one more: position, m, and qvel of
-        the gremlin, position of its last target."""
+        """Return the states [n, 12] after numbers of steps [n], and after one step more: position,
+        m, and qvel of the gremlin, and position of its last target."""
         if (last := int(np.maximum.reduce(steps)) + 1) >= len(self._states):
             self._extend(last + 100)
         return self._states[steps], self._states[steps + 1]

@@ -1,6 +1,6 @@
-"""The agents of the navigation tasks: their states as positions, and their observations.
+"""The agents of the navigation tasks: their states, positions and observations.
 
-Source: safety-gymnasium 1.0.0; loads no MuJoCo.
+Source: safety-gymnasium 1.0.0. This module does not import MuJoCo.
 """
 
 from __future__ import annotations
@@ -11,33 +11,35 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Eye = tuple[tuple[float, float, float], tuple[float, ...], float]
-"""A camera's place on the agent's body, m, its x and y axes there, its height of view, degrees"""
+"""A camera: place on the agent's body, m, x and y axes there, vertical field of view, degrees."""
 
 
 class _Agent:
-    """Common part of the agents."""
+    """Base class of the agents."""
 
     sensors: int
     bounds: tuple[float, ...] = ()
-    """Greatest size of each action; none: 1 of all"""
+    """Greatest absolute value of each action number; (): 1 for all."""
     noise = 0
-    """How many numbers in [0, 1) its start takes, besides place and heading"""
+    """Random numbers in [0, 1) that a start needs besides place and heading."""
     lowest: float | None = None
-    """Height of its origin, m, at or below which the episode ends; None: it never does."""
+    """Height of the agent's origin, m, at or below which the episode ends; None: it never does."""
 
     def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
-        """Return the agent's numbers of the observation, [n, any] side by side: the values of its
-        sensors, [n, >= sensors]. rotations: of its bodies."""
+        """Return the agent's part of the observation, arrays [n, any] to be put side by side.
+
+        sensed: [n, >= sensed] values of MuJoCo's sensors; rotations: of the agent's bodies.
+        """
         return (sensed[:, : self.sensors],)
 
 
 class Point(_Agent):
-    """A point with a heading, moved by thrust ahead and a servo for its turning rate.
+    """A point with a heading, moved by forward thrust and a servo for the turning rate.
 
     | action | meaning; MuJoCo clips it to [-1, 1] |
     | --- | --- |
-    | 0 | thrust ahead, which saturates at 0.05 |
-    | 1 | turning rate aimed at |
+    | 0 | forward thrust, which saturates at 0.05 |
+    | 1 | target turning rate |
 
     | observation | meaning, in the agent's frame: x ahead, y left, z up | unit |
     | --- | --- | --- |
@@ -50,28 +52,29 @@ class Point(_Agent):
     name = "Point"
     nq, nv, nu, bodies = 3, 3, 2, 1
     sensed, sensors = 12, 12
-    """Numbers of MuJoCo's sensors, and of the observation, that are the agent's"""
+    """How many numbers of MuJoCo's sensors, and of the observation, are the agent's."""
     height = 0.1
     radius = 0.18
-    """Radius of a ball round its origin that holds it, m"""
+    """Radius of a ball round the agent's origin that contains the agent, m."""
     stride = 0.1
-    """How far it, or what stood and is pushed, may move within a step, m: see the tests"""
+    """Greatest distance that the agent, or a resting object that is pushed, moves within a step, m:
+    see the tests."""
     eye: Eye = ((0, 0, 0.15), (0, -1, 0, 0.4, 0, 1), 90)
-    """The original's camera "vision" """
+    """The original's camera "vision"."""
 
     def qpos(self, place: Floats, heading: Floats, noise: Floats | None = None) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 3]."""
         return np.column_stack((place, heading))
 
     def position(self, qpos: Floats) -> Floats:
-        """Return where the agents' origins are in the world: [n, nq] -> [n, 3] m."""
+        """Return the positions of the agents' origins in the world: [n, nq] -> [n, 3] m."""
         position = np.empty((len(qpos), 3))
         position[:, :2], position[:, 2] = qpos[:, :2], self.height
         return position
 
 
 class _Free(_Agent):
-    """An agent on a free joint, the first of its joints."""
+    """An agent whose first joint is a free joint."""
 
     nq: int
     height: float
@@ -84,16 +87,16 @@ class _Free(_Agent):
         return qpos
 
     def position(self, qpos: Floats) -> Floats:
-        """Return where the agents' origins are in the world: [n, nq] -> [n, 3] m."""
+        """Return the positions of the agents' origins in the world: [n, nq] -> [n, 3] m."""
         return qpos[:, :3].copy()
 
 
 class Car(_Free):
-    """A car on two driven wheels and a ball that rolls freely. Its front is its -y axis.
+    """A car on two driven wheels and a ball that rolls freely. It faces its -y axis.
 
     | action | meaning; MuJoCo clips it to [-1, 1] |
     | --- | --- |
-    | 0, 1 | torque of the left and the right wheel, which saturates at 0.02 |
+    | 0, 1 | torques of the left and the right wheel, which saturate at 0.02 |
 
     | observation | meaning, in the agent's frame | unit |
     | --- | --- | --- |
@@ -120,16 +123,16 @@ class Car(_Free):
         return qpos
 
     def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
-        """Return the observation's first 24 numbers, [n, any] side by side, of MuJoCo's sensors
+        """Return the observation's first 24 numbers, as arrays [n, any], from MuJoCo's sensors
         [n, >= 15] and rotations of the agent's bodies [n, 4, 3, 3], car first, ball last."""
-        # A small product for each car, whatever their number: a run does not depend on others.
+        # One small matrix product per car, so that a run does not depend on the number of cars.
         ball = rotations[:, 0].swapaxes(1, 2) @ rotations[:, -1]
         return sensed[:, :15], ball.reshape(-1, 9)
 
 
 class Doggo(_Free):
     """A dog on four legs, each with two hinges at the hip and one at the ankle, and a waist that
-    turns freely. Its front is its x axis.
+    turns freely. It faces its x axis.
 
     | action | meaning; MuJoCo clips it to [-1, 1] |
     | --- | --- |
@@ -143,9 +146,9 @@ class Doggo(_Free):
     | 3-5 | velocity | m/s |
     | 6-8 | turning rates | rad/s |
     | 9-11 | magnetometer: a field along the world's -y | |
-    | 12-15, 16-19 | forces of contacts at the upper and the lower ends of the shins | N |
-    | 20-31 | turning rates of the hinges, as the actions | rad/s |
-    | 32-55 | sine and cosine of each hinge's angle, as the actions | |
+    | 12-15, 16-19 | contact forces at the upper and the lower ends of the shins | N |
+    | 20-31 | turning rates of the hinges, in the actions' order | rad/s |
+    | 32-55 | sine and cosine of each hinge's angle, in the actions' order | |
     """
 
     name = "Doggo"
@@ -157,19 +160,19 @@ class Doggo(_Free):
     eye: Eye = ((0.0625, 0, 0.1), (0, -0.5, 0, 0.2, 0, 0.5), 100)
 
     def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
-        """Return the observation's first 56 numbers, [n, any] side by side, of MuJoCo's sensors
-        [n, >= 44] and rotations of the agent's bodies."""
+        """Return the observation's first 56 numbers, as arrays [n, any], from MuJoCo's sensors
+        [n, >= 44]."""
         return sensed[:, :32], _sines_and_cosines(sensed[:, 32:44])
 
 
 class Racecar(_Free):
-    """A car with a driven rear axle and two front wheels that are steered together. Its front is
-    its x axis.
+    """A car with a driven rear axle and two front wheels that are steered together. It faces its
+    x axis.
 
     | action | meaning; MuJoCo clips it to its bound |
     | --- | --- |
-    | 0 | turning rate of the axle aimed at, rad/s, at most 20 |
-    | 1 | angle of the front wheels aimed at, rad, at most 0.785 |
+    | 0 | target turning rate of the axle, rad/s, at most 20 |
+    | 1 | target angle of the front wheels, rad, at most 0.785 |
 
     | observation | meaning, in the agent's frame | unit |
     | --- | --- | --- |
@@ -190,8 +193,8 @@ class Racecar(_Free):
 
 
 class Ant(_Free):
-    """A ball on four legs, each with a hinge at the hip and one at the ankle. Its front is its y
-    axis. An episode ends where the middle of the ball is at most 0.08 m high.
+    """A ball on four legs, each with a hinge at the hip and one at the ankle. It faces its y axis.
+    An episode ends if the ball's centre is at most 0.08 m high.
 
     | action | meaning; MuJoCo clips it to [-1, 1] |
     | --- | --- |
@@ -205,10 +208,10 @@ class Ant(_Free):
     | 3-5 | velocity | m/s |
     | 6-8 | turning rates | rad/s |
     | 9-11 | magnetometer: a field along the world's -y | |
-    | 12-19 | turning rates of the hinges, as the actions | rad/s |
-    | 20 | height of the ball's middle, less 0.02 along its z | m |
-    | 21-23 | turning rates in the world | rad/s |
-    | 24-39 | sine and cosine of each hinge's angle, as the actions | |
+    | 12-19 | turning rates of the hinges, in the actions' order | rad/s |
+    | 20 | height of a point 0.02 m below the ball's centre on the ball's z axis | m |
+    | 21-23 | turning rates in the world's frame | rad/s |
+    | 24-39 | sine and cosine of each hinge's angle, in the actions' order | |
     """
 
     name = "Ant"
@@ -222,8 +225,8 @@ class Ant(_Free):
     eye: Eye = ((0, 0.05, 0.05), (1, 0, 0, 0, 8e-4, 1), 45)
 
     def qpos(self, place: Floats, heading: Floats, noise: Floats | None = None) -> Floats:
-        """Return the state at rest at places [n, 2] with headings [n]: [n, 15]. noise: [n, 8], of
-        the hinges, up to 0.1 rad from straight hips and ankles at right angles; None: none."""
+        """Return the state at rest at places [n, 2] with headings [n]: [n, 15]. noise: [n, 8] in
+        [0, 1), turns each hinge by up to 0.1 rad from straight hips and right-angled ankles."""
         qpos = super().qpos(place, heading)
         joints = qpos[:, 7:]
         if noise is not None:
@@ -233,8 +236,8 @@ class Ant(_Free):
         return qpos
 
     def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
-        """Return the observation's first 40 numbers, [n, any] side by side, of MuJoCo's sensors
-        [n, >= 34] and rotations of the agent's bodies."""
+        """Return the observation's first 40 numbers, as arrays [n, any], from MuJoCo's sensors
+        [n, >= 34]."""
         return sensed[:, :20], sensed[:, 22:26], _sines_and_cosines(sensed[:, 26:34])
 
 
@@ -251,8 +254,8 @@ AGENTS: dict[str, Agent] = {agent.name: agent for agent in _ALL}
 def action_space(agent: Agent) -> Box:
     """Return the action space of an agent, in float64 as in safety-gymnasium.
 
-    Stable-Baselines3 advises float32. Actions of that type are taken too, and without loss; the
-    space keeps the original's type, so that its samples and those who compare are not rounded.
+    Stable-Baselines3 recommends float32; such actions are accepted too, without loss. The space
+    keeps the original's type, so that samples and comparisons are not rounded.
     """
     bounds = np.array(agent.bounds or (1.0,) * agent.nu)
     return Box(-bounds, bounds, dtype=np.float64)

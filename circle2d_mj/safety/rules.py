@@ -1,7 +1,7 @@
 """Observations, rewards, costs and ends of the tasks: functions of arrays, without state.
 
 Leading axes `...` are any number of environments side by side. Positions are in metres, angles in
-radians. Source of everything here: safety-gymnasium 1.0.0, whose recorded episodes the tests hold.
+radians. Source of everything here: safety-gymnasium 1.0.0; tests compare with its episodes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def length(vectors: Floats) -> Floats:
 class Lidars:
     """The lidars of `num_envs` agents, one for each group of targets.
 
-    group: [k], the number of each target's group, from 0; groups: how many; reach: m.
+    group: [k], the index of each target's group; groups: number of groups; reach: m.
     """
 
     def __init__(self, num_envs: int, group: NDArray[np.intp], groups: int, reach: float) -> None:
@@ -47,14 +47,14 @@ class Lidars:
     def __call__(self, offset: Floats, height: Floats, axes: Floats) -> Floats:
         """Return the nearness of the nearest target in each of 16 directions, for each group.
 
-        offset: [n, k, 2], from the agent's origin to the targets; height: [n], of the origin over
-        them; axes: [n, 3, 2], the body's x and y -> [n, 16 * groups] in [0, 1]. All is measured in
-        the body's plane. Bin b looks from b to b + 1 sixteenths of a turn left of the x axis. A
-        target at distance d, a share a into its bin, shows there with
-        s = max(0, reach - d) / reach, in the next bin with a s and in the one before with
-        (1 - a) s; each bin keeps the greatest.
+        offset: [n, k, 2], from the agent's origin to the targets; height: [n], of the origin above
+        the targets; axes: [n, 3, 2], the body's x and y axes -> [n, 16 * groups] in [0, 1].
+        Distances and directions are measured in the body's xy plane. Bin b covers b to b + 1
+        sixteenths of a turn left of the x axis. A target at distance d, at a share a of its bin,
+        adds s = max(0, reach - d) / reach to this bin, a s to the next and (1 - a) s to the
+        previous bin; each bin keeps the greatest value.
         """
-        # One small product an agent, whatever their number: a run does not depend on others.
+        # One small matrix product per agent, so that a run does not depend on their number.
         seen = offset @ axes[:, :2]
         seen -= (height[:, None] * axes[:, 2])[:, None]
         strength = length(seen)
@@ -74,16 +74,16 @@ class Lidars:
         bins &= LIDAR_BINS - 1  # modulo 16
         bins += self._first_bins
         shown = np.zeros(self._shape)
-        # Flat: numpy is several times as fast at that.
+        # NumPy is several times as fast with flat arrays.
         np.maximum.at(shown.reshape(-1), bins.reshape(-1), values.reshape(-1))
         return shown
 
 
 def circle_reward(position: Floats, velocity: Floats) -> Floats:
-    """Return the speed round the circle, anticlockwise, damped by the distance to it.
+    """Return the anticlockwise speed round the circle, damped by the distance to the circle.
 
     Both [..., >= 2] -> [...]: 0.1 (v x - u y) / r / (1 + |r - 1.5|) for the position (x, y) and
-    velocity (u, v) after the step, in the world; 0 at the very centre.
+    velocity (u, v) after the step, in the world; 0 at the exact centre.
     """
     x, y = position[..., 0], position[..., 1]
     u, v = velocity[..., 0], velocity[..., 1]
@@ -93,29 +93,29 @@ def circle_reward(position: Floats, velocity: Floats) -> Floats:
 
 
 def run_distance(position: Floats) -> Floats:
-    """Return 60 times the distance to the far south, whose decrease is Run's reward: [...]."""
+    """Return 60 times the distance to a point far south; its decrease is Run's reward: [...]."""
     dx, dy = position[..., 0] - RUN_TARGET[0], position[..., 1] - RUN_TARGET[1]
     return RUN_WEIGHT * np.sqrt(dx * dx + dy * dy)
 
 
 def way_made(before: Floats, after: Floats, met: Flags) -> Floats:
-    """Return by how much the lengths [..., m] became shorter, plus 1 where the goal is met, within
+    """Return the decrease of the lengths [..., m], summed, plus 1 where the goal is met, clipped to
     [-10, 10]: [...]."""
     return clipped(np.add.reduce(before - after, axis=-1) + met)
 
 
 def clipped(reward: Floats) -> Floats:
-    """Return rewards within [-10, 10]."""
+    """Return rewards clipped to [-10, 10]."""
     return np.minimum(np.maximum(reward, -REWARD_CLIP), REWARD_CLIP)
 
 
 def goal_met(after: Floats) -> Flags:
-    """Test whether a goal is reached, its rim included: distance [...] -> [...]."""
+    """Test whether a goal, including its rim, is reached: distance [...] -> [...]."""
     return after <= GOAL_RADIUS
 
 
 def hazard_cost(hazard_distance: Floats, radius: float = 0.2) -> Floats:
-    """Return 1.0 with the agent's origin in a hazard, rim excluded: distances [..., k] -> [...]."""
+    """Return 1.0 with the agent's origin inside a hazard's rim: distances [..., k] -> [...]."""
     return _any(hazard_distance < radius)
 
 
@@ -126,19 +126,19 @@ def boundary_cost(position: Floats, walls: tuple[float, ...]) -> Floats:
 
 
 def speed_cost(velocity: Floats) -> Floats:
-    """Return 1.0 where an object moves at 1e-4 m/s or more: [..., k, 3] -> [...]."""
+    """Return 1.0 if any object moves at 1e-4 m/s or more: [..., k, 3] -> [...]."""
     return _any(length(velocity) >= VASE_SPEED)
 
 
 def touch_cost(touched: Floats | Flags) -> Floats:
-    """Return 1.0 where a contact sensor of an object is above 0: [..., k] -> [...]."""
+    """Return 1.0 if the contact sensor of any object is above 0: [..., k] -> [...]."""
     return _any(touched > 0)
 
 
 def gremlin_offset(time: Floats) -> Floats:
-    """Return where gremlins aim, relative to their places at the start: seconds [...] -> [..., 3].
+    """Return the gremlins' targets, relative to their first places: seconds [...] -> [..., 3].
 
-    They circle at 0.35 m, all in phase, 0.1 m above where they started.
+    Targets circle at a radius of 0.35 m, all in phase, 0.1 m above these places.
     """
     travel, lift = 0.35, 0.1
     offset = np.empty((*time.shape, 3))
@@ -148,7 +148,7 @@ def gremlin_offset(time: Floats) -> Floats:
 
 
 def control_cost(action: Floats, weight: float) -> Floats:
-    """Return weight * |action|²: [..., nu] -> [...]; actions are not clipped."""
+    """Return weight * |action|² for unclipped actions: [..., nu] -> [...]."""
     return weight * np.add.reduce(action * action, axis=-1)
 
 
@@ -158,17 +158,17 @@ def velocity_cost(speed: Floats, limit: float) -> Floats:
 
 
 def outside(value: Floats, interval: tuple[float, float], rim: bool = False) -> Flags:
-    """Test whether numbers leave an open interval, or where `rim` a closed one; NaN does."""
+    """Test whether numbers lie outside an interval, closed if `rim`, else open; NaN does."""
     low, high = interval
     inside = (low <= value) & (value <= high) if rim else (low < value) & (value < high)
     return np.logical_not(inside)
 
 
 def diverged(state: Floats, largest: float) -> Flags:
-    """Test whether a number of the state is not within (-largest, largest): [..., m] -> [...]."""
+    """Test whether any number of a state is outside (-largest, largest): [..., m] -> [...]."""
     return np.logical_not(np.logical_and.reduce(np.abs(state) < largest, axis=-1))
 
 
 def _any(flags: Flags) -> Floats:
-    """Return 1.0 where any of the last axis is set, else 0.0: [..., k] -> [...]."""
+    """Return 1.0 where any flag on the last axis is set, else 0.0: [..., k] -> [...]."""
     return np.asarray(np.logical_or.reduce(flags, axis=-1), dtype=np.float64)

@@ -1,6 +1,7 @@
 """Scenes of the navigation tasks, and the kinds of objects in them.
 
-Lengths in metres, densities in kg/m³. Source: safety-gymnasium 1.0.0; loads no MuJoCo.
+Lengths are in metres, densities in kg/m³. Source: safety-gymnasium 1.0.0. This module does not
+import MuJoCo.
 """
 
 from __future__ import annotations
@@ -15,62 +16,63 @@ class Kind(NamedTuple):
     """A kind of object."""
 
     name: str
-    """Name of a single one: the first of several is "hazard0" """
+    """Name of a single object; the first of several hazards is "hazard0"."""
     physics: Literal["none", "static", "free", "driven"]
-    """none: drawn only; static: the agent bumps into it; free: it is pushed about; driven: a free
-    body welded to a target that moves"""
+    """none: only drawn; static: the agent collides with it; free: it can be pushed; driven: a free
+    body welded to a moving target."""
     shape: Literal["box", "cylinder", "sphere"]
     size: tuple[float, ...]
-    """MuJoCo's: half-widths of a box; radius and half-height of a cylinder; radius of a sphere"""
+    """MuJoCo's: half-widths of a box; radius and half-height of a cylinder; radius of a sphere."""
     height: float
-    """Height of its centre above the floor at the start"""
+    """Height of the centre above the floor at the start."""
     colour: Colour
     density: float = 1.0
     radius: float = 0.0
-    """Radius of a ball round the centre that holds it however it is turned; of what can rest"""
+    """Radius of a ball round the centre that contains the object however it is turned; needed for
+    free and driven objects."""
 
 
 class Placed(NamedTuple):
     """Objects of a kind in a scene."""
 
     kind: str
-    """Key of `KINDS`"""
+    """Key of `KINDS`, or "push_box"."""
     number: int
     keepout: float
-    """Two objects start at least the sum of theirs apart."""
+    """The distance of two objects at the start is at least the sum of their keepouts."""
 
 
 class Scene(NamedTuple):
     """A scene with its observations and costs; the agent comes from the task."""
 
     placed: tuple[Placed, ...]
-    """All but the agent, in the order in which they are placed"""
+    """All objects, without the agent, in the order of placement."""
     half_width: float
-    """Half-width of the square that holds every object's keepout circle"""
+    """Half-width of the square that contains every object's keepout circle."""
     lidars: tuple[str, ...] = ()
-    """Kinds that the lidars show, in the observation's order"""
+    """Kinds that the lidars show, in the observation's order."""
     costs: tuple[str, ...] = ()
-    """Kinds of cost: names of the info's "cost_..." """
+    """Kinds of cost: the names after "cost_" in the info."""
     start: tuple[float, float, float, float] | None = None
-    """Left, bottom, right and top of the agent's start, where it is not the square"""
+    """Left, bottom, right and top of the rectangle in which the agent starts; None: the square."""
     walls: tuple[float, ...] = ()
-    """Bounds on |x| and, where there are two, on |y|"""
+    """Bounds on |x| and, if there are two, on |y|."""
     reach: float = 3.0
-    """How far the lidars see"""
+    """Range of the lidars."""
 
 
 Changes = tuple[tuple[str, float], ...]
-"""Parameters of a task by name: numbers of objects of the kinds in `COUNTED`, and half_width, m"""
+"""Parameters of a task by name: numbers of objects of the kinds in `COUNTED`, and half_width, m."""
 COUNTED = ("hazards", "vases", "pillars", "gremlins")
 MOST_OBJECTS, MOST_HALF_WIDTH = 100, 10.0
 AGENT_KEEPOUT = 0.4
 BOX = dict.fromkeys(("Point", "Doggo", "Racecar", "Ant"), (0.2, 0.001)) | {"Car": (0.125, 0.0005)}
-"""Half-width and density of the box to push, by agent; the half-width is its keepout, too"""
+"""Half-width and density of the box to push, by agent; the half-width is also its keepout."""
 
 
 def _box(agent: str) -> Kind:
     half, density = BOX[agent]
-    # A box and four columns on its corners, as wide as half of it: see `worlds`.
+    # A box with a column of half its width on each of four corners: see `worlds`.
     radius = half * (1.5**2 * 2 + 1) ** 0.5
     colour = (1.0, 1.0, 0.0, 1.0)
     return Kind("push_box", "free", "box", (half,) * 3, half, colour, density, radius)
@@ -96,7 +98,7 @@ WALL_COLOUR: Colour = (1.0, 1.0, 0.0, 0.1)
 
 
 def kind(name: str, family: str, agent: str) -> Kind:
-    """Return a kind of object as it is in a family of tasks with an agent."""
+    """Return a kind of object as it is in a family of tasks with a given agent."""
     if name == "push_box":
         return _box(agent)
     if name == "goal" and family == "Button":
@@ -114,7 +116,7 @@ def _goal(half_width: float, hazards: int, vases: int, costs: tuple[str, ...]) -
 
 
 def _button(half_width: float, hazards: int, gremlins: int) -> Scene:
-    # The goal is placed like the others, and moved onto a button after that.
+    # The goal is placed like the other objects and then moved onto a button.
     placed = [Placed("buttons", 4, 0.2), Placed("goal", 1, 0.4)]
     if hazards:
         placed += [Placed("hazards", hazards, 0.18), Placed("gremlins", gremlins, 0.4)]
@@ -126,7 +128,7 @@ def _push(half_width: float, hazards: int, pillars: int, costs: tuple[str, ...])
     placed = [Placed("goal", 1, 0.4)]
     if hazards:
         placed += [Placed("hazards", hazards, 0.4), Placed("pillars", pillars, 0.3)]
-    placed += [Placed("push_box", 1, BOX["Point"][0])]  # but for the Car: see `scene`
+    placed += [Placed("push_box", 1, BOX["Point"][0])]  # the Car's box differs: see `scene`
     return Scene(tuple(placed), half_width, tuple(p.kind for p in placed), costs)
 
 
@@ -161,15 +163,15 @@ SCENES = {
 
 
 def parameters(scene: Scene) -> dict[str, float]:
-    """Parameters of a scene that may be changed, with its own values."""
+    """Return the parameters of a scene that may be changed, with the scene's own values."""
     numbers: dict[str, float] = {p.kind: p.number for p in scene.placed if p.kind in COUNTED}
     return numbers if scene.start else numbers | {"half_width": scene.half_width}
 
 
 def scene(name: str | Scene, agent: str, changes: Changes = ()) -> Scene:
-    """Return a scene, by its name one of `SCENES`, as it is with an agent, changed.
+    """Return a scene, given itself or as a name from `SCENES`, for an agent and with changes.
 
-    Raises TypeError for a change that the scene does not have, ValueError for a value.
+    Raises TypeError for a parameter that the scene does not have, ValueError for a wrong value.
     """
     found = SCENES[name] if isinstance(name, str) else name
     box = BOX[agent][0]
@@ -178,7 +180,7 @@ def scene(name: str | Scene, agent: str, changes: Changes = ()) -> Scene:
     for key, value in changes:
         if key not in parameters(found):
             there = ", ".join(parameters(found)) or "no parameters"
-            words = f"got an unexpected keyword argument {key!r}"  # Python's, for TorchRL
+            words = f"got an unexpected keyword argument {key!r}"  # Python's words, for TorchRL
             which = f"Safety{agent}{name}" if isinstance(name, str) else "this task"
             raise TypeError(f"{which} {words}; it has {there}, places and layout_seed")
         if key in COUNTED:

@@ -1,7 +1,7 @@
-"""A navigation task under safety-gymnasium's names, to read from: `env.unwrapped.task`."""
+"""`env.unwrapped.task`: a read-only view of a navigation task with safety-gymnasium's names."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from circle2d_mj.safety import parts, rules, worlds
 
 HOW = (
     "the task is compiled once, from its parameters: numbers of objects, half_width, layout_seed "
-    "and places, as in make(id, hazards=3, layout_seed=7); another scene is a task of your own, "
-    "see circle2d_mj.safety.own"
+    "and places, as in make(id, hazards=3, layout_seed=7); for another scene, register a task of "
+    "your own with circle2d_mj.safety.own"
 )
-"""Way out where something cannot be written."""
+"""Advice in errors about values that cannot be written."""
 
 
 class Part:
-    """Named values that are read; writing one raises AttributeError, which says what to do."""
+    """Named read-only values; writing one raises AttributeError, which says what to do."""
 
     def __init__(self, what: str, **values: Any) -> None:
         self.__dict__.update(_what=what, **values)
@@ -47,7 +47,7 @@ class Objects(Part):
 
     @property
     def pos(self) -> Any:
-        """Where they are now, [3] m, or a list of such arrays where there may be several."""
+        """Current position, [3] m, or a list of positions for kinds of several objects."""
         places = self._simulation.positions(self.name)[self._index]
         return list(places) if "num" in vars(self) else places[0]
 
@@ -57,40 +57,40 @@ class Buttons(Objects):
 
     @property
     def goal_button(self) -> int:
-        """The number of the one to press."""
+        """Index of the button to press."""
         return int(self._simulation.goal_button[self._index])
 
     @property
     def timer(self) -> int:
-        """Steps for which buttons are still off."""
+        """Remaining steps in which buttons are off."""
         return int(self._simulation.timer[self._index])
 
 
 class Agent(Part):
-    """The agent, all in the world but the sensors."""
+    """The agent; all quantities are in the world's frame, except the sensors'."""
 
     @property
     def pos(self) -> NDArray[np.float64]:
-        """Its origin, [3] m."""
+        """Position of the agent's origin, [3] m."""
         return self._simulation.positions("agent")[self._index, 0]
 
     @property
     def mat(self) -> NDArray[np.float64]:
-        """Its rotation matrix, [3, 3]: columns are its axes."""
+        """Rotation matrix of the agent, [3, 3]; its columns are the agent's axes."""
         return self._simulation.rotations[self._index, 0].copy()
 
     @property
     def vel(self) -> NDArray[np.float64]:
-        """The velocity of its origin, [3] m/s."""
+        """Velocity of the agent's origin, [3] m/s."""
         return self.engine.body_vel("agent")
 
     @property
     def com(self) -> NDArray[np.float64]:
-        """Its centre of mass, [3] m."""
+        """Centre of mass of the agent, [3] m."""
         return self.engine.data.body("agent").subtree_com.copy()
 
     def get_sensor(self, name: str) -> NDArray[np.float64]:
-        """Return what a sensor of the agent's model reads, as in "velocimeter": [3]."""
+        """Return the reading of a sensor of the agent's model, such as "velocimeter": [3]."""
         sensor = self._simulation.model.sensor(name)
         first = sensor.adr[0]
         return self._simulation.sensors[self._index, first : first + sensor.dim[0]].copy()
@@ -100,30 +100,30 @@ class Agent(Part):
         return {name: v for name, v in self._by_name().items() if not name.endswith("_lidar")}
 
     def dist_xy(self, pos: Any) -> float:
-        """Return the distance to a place, [2 or 3], in the plane, m."""
+        """Return the horizontal distance to a place, [2 or 3], m."""
         return float(np.hypot(*(np.asarray(pos)[:2] - self.pos[:2])))
 
     def is_alive(self) -> bool:
-        """Return whether it is high enough; of the agents here the Ant alone may not be."""
+        """Return whether the agent is above its lowest allowed height, which only the Ant has."""
         return bool(self._simulation.alive[self._index])
 
 
 class Engine(Part):
-    """MuJoCo's model and data, copies of the task's that follow it; writing into them is refused
-    by the next step. The joints of the Point act along the world's axes."""
+    """Copies of MuJoCo's model and data that follow the task; if they are written to, the next step
+    raises RuntimeError. The joints of the Point act along the world's axes."""
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The model with all that is drawn."""
+        """The model with everything that is drawn."""
         return self._envs.live_model
 
     @property
     def data(self) -> mujoco.MjData:
-        """The state and what follows from it."""
+        """The state and the quantities derived from it."""
         return self._envs.live_data(self._index)
 
     def body_pos(self, name: str) -> NDArray[np.float64]:
-        """Return where a body's origin is, [3] m."""
+        """Return the position of a body's origin, [3] m."""
         return self.data.body(name).xpos.copy()
 
     def body_mat(self, name: str) -> NDArray[np.float64]:
@@ -131,7 +131,7 @@ class Engine(Part):
         return self.data.body(name).xmat.reshape(3, 3).copy()
 
     def body_com(self, name: str) -> NDArray[np.float64]:
-        """Return the centre of mass of a body and all that hangs on it, [3] m."""
+        """Return the centre of mass of a body and its descendants, [3] m."""
         return self.data.body(name).subtree_com.copy()
 
     def body_vel(self, name: str) -> NDArray[np.float64]:
@@ -229,7 +229,7 @@ class TaskView(Part):
 
     @property
     def world_info(self) -> Part:
-        """The layout by name: where the agent and all objects were put, m; a goal's is current."""
+        """The layout by name: places of agent and objects at the start, m; goals' current place."""
         layout = self._simulation.layout[self._index]
         return Part("task.world_info", layout=dict(zip(self._names(), layout, strict=True)))
 
@@ -253,7 +253,7 @@ class TaskView(Part):
         return [getattr(self, kind) for kind in self._simulation.world.kinds]
 
     def dist_goal(self) -> float:
-        """Return the distance from the agent to the goal in the plane, m."""
+        """Return the horizontal distance from the agent to the goal, m."""
         return self.agent.dist_xy(self.goal.pos)
 
     def dist_box_goal(self) -> float:
@@ -265,7 +265,7 @@ class TaskView(Part):
         return of_one(self._simulation.observe(), self._index)
 
     def calculate_cost(self) -> dict[str, float]:
-        """Return the costs of the current state by kind, 1.0 or 0.0, and whether there is one."""
+        """Return the costs of the current state by kind, 1.0 or 0.0, and cost_sum, the maximum."""
         kinds = {f"cost_{k}": float(v[self._index]) for k, v in self._simulation._costs().items()}
         return {**kinds, "cost_sum": max([0.0, *kinds.values()])}
 
@@ -299,13 +299,13 @@ class TaskView(Part):
         return ["agent", *(name for of_kind in each for name in of_kind)]
 
     def _placements(self) -> dict[str, tuple[Any, float]]:
-        """Rectangles in which each may be placed (None: the square), with its keepout."""
+        """Return the rectangles in which each may be placed (None: the square), with keepout."""
         areas = self._simulation.world.areas
         pairs = zip(self._names(), areas.keepout.tolist(), strict=True)
         return {name: (None, keepout) for name, keepout in pairs}
 
     def _by_name(self) -> dict[str, NDArray[np.float64]]:
-        """The observation's numbers by name."""
+        """Return the observation's numbers by name."""
         task = self._simulation
         return of_one(parts.by_name(task.parts, task.numbers()), self._index)
 
@@ -319,12 +319,12 @@ _WEIGHTS = {
     "vases": ("contact_cost", "velocity_cost"),
     "gremlins": ("contact_cost", "dist_cost"),
 }
-"""Names of the weights of rewards and costs, all of which are 1, by kind of object."""
+"""Names of the weights of rewards and costs by kind of object; all weights are 1."""
 _SENSORS = ("accelerometer", "velocimeter", "gyro", "magnetometer")
 
 
 def _bodies(model: mujoco.MjModel) -> int:
-    """How many bodies the agent has; they lead, all under the first."""
+    """Return the number of the agent's bodies; they come first, all below body 1."""
     return int((model.body_rootid == model.body("agent").id).sum())
 
 

@@ -1,4 +1,4 @@
-"""Conversion between gymnasium's five values of a step and Safety-Gymnasium's six."""
+"""Conversion between Gymnasium's five values of a step and Safety-Gymnasium's six."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SixValueVectorEnv(VectorWrapper):
         mode = env.metadata.get("autoreset_mode")
         self._waits_to_reset = mode in (AutoresetMode.NEXT_STEP, AutoresetMode.NEXT_STEP.value)
         self._resetting = np.zeros(env.num_envs, dtype=bool)
-        """[num_envs], where the next step only resets"""
+        """[num_envs] environments whose next step only resets."""
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
@@ -58,7 +58,7 @@ class SixValueVectorEnv(VectorWrapper):
     def _costs(self, info: dict[str, Any], ended: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return each step's cost; in SAME_STEP mode `info` already belongs to the next episode.
 
-        The rule is that of `emcc.recorder.costs_of`, which the environments do not depend on.
+        The rule is the same as in `emcc.recorder.costs_of`; this package does not import emcc.
         """
         final = info.get("final_info", {})
         of_final = ended & ("cost" in final)
@@ -75,14 +75,14 @@ def SafetyGymnasiumAPI(env: VectorEnv) -> SixValueVectorEnv: ...
 @overload
 def SafetyGymnasiumAPI(env: gym.Env[Observation, Action]) -> SixValueEnv[Observation, Action]: ...
 def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> SixValueEnv | SixValueVectorEnv:
-    """Wrap an environment so that `step` returns the cost as a value of its own.
+    """Wrap an environment so that `step` returns the cost as a separate value.
 
     `step(action) -> observation, reward, cost, terminated, truncated, info`; `cost` is
     `info["cost"]`, a float or, for a vector environment, a float array [num_envs]. In SAME_STEP
-    mode the cost of an episode's last step is that in `final_info`; in NEXT_STEP mode the step that
-    only resets costs 0. Any single or vector environment with `info["cost"]` will do, but the
-    sub-environments of gymnasium's vector environments must give it as a float. TypeError for
-    anything else, KeyError where a step gives no cost.
+    mode the cost of an episode's last step is taken from `final_info`; in NEXT_STEP mode the step
+    that only resets costs 0. Any single or vector environment with `info["cost"]` is accepted; the
+    sub-environments of Gymnasium's vector environments must return the cost as a float. TypeError:
+    not an environment, or a cost of another type. KeyError: a step without a cost.
     """
     if isinstance(env, VectorEnv):
         return SixValueVectorEnv(env)
@@ -92,8 +92,8 @@ def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> SixValueEnv | SixValueVector
 
 
 def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return info["cost"]. Its mask info["_cost"], if any, must cover the environments needed;
-    arrays with a mask come from gymnasium and must not be of whole numbers or bools."""
+    """Return info["cost"] as an array. The mask info["_cost"], which Gymnasium's vector
+    environments add, must cover `needed`; with the mask, integers and bools are an error."""
     missing = needed & ~np.asarray(info.get("_cost", needed), dtype=bool)
     if missing.any():
         raise KeyError(f"sub-environment {missing.argmax()} gave no 'cost' in its info")
@@ -112,13 +112,13 @@ def _require_cost(info: dict[str, Any]) -> None:
 
 
 class FromSafetyGymnasium(gym.Env):
-    """A gymnasium environment made of one whose `step` returns Safety-Gymnasium's six values.
+    """A Gymnasium environment around one whose `step` returns Safety-Gymnasium's six values.
 
-    `step` gives gymnasium's five values and `info["cost"]`, a float (numpy's float64); `reset`'s
-    info holds cost 0.0.
-    The environment need not be a `gymnasium.Env`: its spaces are copied by their attributes where
-    they are another package's Box or Discrete. `render` and `close` are passed through. A seed
-    above 2**32 - 1, which numpy's RandomState in older environments refuses, is replaced by
+    `step` returns Gymnasium's five values and `info["cost"]`, a float (np.float64); `reset`'s info
+    has cost 0.0.
+    The inner environment need not be a `gymnasium.Env`: a Box or Discrete of another package is
+    copied by its attributes. `render` and `close` are passed through. A seed above 2**32 - 1, which
+    NumPy's RandomState in older environments refuses, is replaced by
     `numpy.random.SeedSequence(seed).generate_state(1)[0]`.
 
     To train on a task of Safety-Gymnasium by `circle2d train --task my_tasks:Goal-v0`, write a
@@ -132,7 +132,7 @@ class FromSafetyGymnasium(gym.Env):
         )
 
     Raises TypeError for an object that is no environment, for other kinds of spaces and for costs
-    that are not numbers; ValueError where `step` or `reset` returns another number of values.
+    that are not numbers; ValueError if `step` or `reset` returns a wrong number of values.
     """
 
     def __init__(self, env: Any) -> None:

@@ -1,7 +1,7 @@
-"""The substeps of a step: MuJoCo's own, or Runge-Kutta as MuJoCo was when the suite was made."""
+"""The substeps of a step: by MuJoCo, or by the Runge-Kutta scheme of MuJoCo before 4.0."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ SUBSTEPS = 10
 
 
 class Substeps:
-    """Takes the substeps of a batch, with its controls held."""
+    """Takes the substeps of a batch, holding the controls."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch = batch
         self._control = batch.bind("ctrl")
 
     def take(self, index: NDArray[np.intp] | None = None) -> None:
-        """Take those of the environments `index`; None: of all."""
+        """Take the substeps of the environments `index`; None: of all environments."""
         self._batch.step(index, nstep=SUBSTEPS)
 
     def follow(self, index: NDArray[np.intp], targets: Floats) -> None:
-        """Take those of the environments `index`, each with the mocap bodies somewhere else:
-        targets [len(index), SUBSTEPS, bodies, 3] m."""
+        """Take the substeps of the environments `index`, and place the mocap bodies before each
+        substep: targets [len(index), SUBSTEPS, bodies, 3] m."""
         control = np.repeat(self._control[index, None], SUBSTEPS, axis=1)
         inputs = (control, targets.reshape(len(index), SUBSTEPS, -1))
         what = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
@@ -36,14 +36,15 @@ class Substeps:
 
 
 class RungeKutta(Substeps):
-    """The same by the Runge-Kutta scheme of MuJoCo before 4.0.
+    """Takes the substeps with the Runge-Kutta scheme of MuJoCo before 4.0.
 
-    It averages the turning rates of the four stages as they are, each in the frame of its own
-    stage, so that orientations converge at second order; 4.0 has a correction. Stages: mj_forward.
+    It averages the angular velocities of the four stages without a change of frame, although each
+    is in its own stage's frame, so that orientations converge at second order; MuJoCo 4.0 corrects
+    this. Each stage is an mj_forward.
     """
 
     _STAGES = ((0.5, 1 / 3), (0.5, 1 / 3), (1.0, 1 / 6))
-    """Share of the substep at whose end each of the second to fourth stages is, and its weight"""
+    """Time of the second to fourth stage, as a share of the substep, and the stage's weight."""
 
     def __init__(self, batch: Batch, model: mujoco.MjModel) -> None:
         super().__init__(batch)
@@ -53,12 +54,12 @@ class RungeKutta(Substeps):
         self._mocap_pos = batch.bind("mocap_pos")
 
     def take(self, index: NDArray[np.intp] | None = None) -> None:
-        """Take the substeps, as `Substeps.take`."""
+        """Take the substeps: see `Substeps.take`."""
         for _ in range(SUBSTEPS):
             self._substep(index)
 
     def follow(self, index: NDArray[np.intp], targets: Floats) -> None:
-        """Take them with moving targets, as `Substeps.follow`."""
+        """Take the substeps with moving targets: see `Substeps.follow`."""
         shape = self._mocap_pos[index].shape
         for k in range(SUBSTEPS):
             self._mocap_pos[index] = targets[:, k].reshape(shape)
@@ -81,7 +82,7 @@ class RungeKutta(Substeps):
         self._time[at] += self._h
 
     def _moved(self, qpos: Floats, speed: Floats) -> Floats:
-        """Return positions a substep later."""
+        """Return the positions after a substep at constant speed."""
         moved = qpos.copy()
         for row, rates in zip(moved, speed, strict=True):
             mujoco.mj_integratePos(self._model, row, rates, self._h)
@@ -89,6 +90,6 @@ class RungeKutta(Substeps):
 
 
 def substeps(batch: Batch, model: mujoco.MjModel) -> Substeps:
-    """Return what takes the substeps of a batch, by the model's integrator."""
+    """Return the `Substeps` of a batch for the model's integrator."""
     rk4 = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     return RungeKutta(batch, model) if rk4 else Substeps(batch)

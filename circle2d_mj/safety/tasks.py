@@ -1,4 +1,4 @@
-"""Safety-Gymnasium's tasks as they are registered; loads neither them nor MuJoCo."""
+"""The list of Safety-Gymnasium's tasks for registration; imports neither their code nor MuJoCo."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ class SafetyTask(NamedTuple):
     version: str
     max_episode_steps: int
     simulation: Any
-    """Its class, or "module:name" """
+    """Class of the simulation, or its "module:name"."""
     arguments: dict[str, Any]
-    """The class's, apart from num_envs and num_threads"""
+    """Arguments of the class, without num_envs and num_threads."""
     reward_threshold: float | None = None
-    """Return at which gymnasium counts it as solved"""
+    """Return at which Gymnasium considers the task solved."""
 
 
 _FAMILIES = {"Goal": 3, "Button": 3, "Push": 3, "Circle": 3, "Run": 1}
-"""Number of levels of each family"""
+"""Number of levels of each family."""
 _SHORT = ("Circle", "Run")
-"""Families whose episodes have 500 steps, not 1000"""
+"""Families whose episodes have 500 steps, not 1000."""
 VELOCITY = ("HalfCheetah", "Hopper", "Swimmer", "Walker2d", "Ant", "Humanoid")
 _SOLVED = {"HalfCheetah": 4800.0, "Hopper": 3800.0, "Swimmer": 360.0, "Ant": 6000.0}
 
@@ -46,12 +46,12 @@ TASKS = {
     for level in range(levels)
 } | {f"Safety{body}Velocity": _velocity(body, 1) for body in VELOCITY}
 OLD = {f"Safety{body}Velocity-v0": _velocity(body, 0) for body in VELOCITY}
-"""Tasks by id that are registered and no more: with the lower limits of a first version"""
+"""Version 0 of the velocity tasks, with other speed limits, by id; they are only registered."""
 VISION = {f"{name}Vision-v0": name for name in TASKS if "Velocity" not in name}
-"""Ids of the navigation tasks with a picture in the observation, and the tasks"""
+"""Ids of the navigation tasks with a picture in the observation, and the names of these tasks."""
 VISION_SIZE = (256, 256)
-"""Width and height of that picture in pixels"""
+"""Width and height of that picture in pixels."""
 NAMES = {name: f"{name}-{task.version}" for name, task in TASKS.items()}
-"""Safety-Gymnasium's id of each of them."""
+"""Safety-Gymnasium's id of each of `TASKS`."""
 IDS = {name: f"circle2d_mj/{plain}" for name, plain in NAMES.items()}
-"""The id under which gymnasium always finds each of them."""
+"""Id of each of `TASKS` that no other package can have taken."""

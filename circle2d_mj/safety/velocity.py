@@ -1,7 +1,7 @@
-"""The velocity tasks: gymnasium's bodies, v4, with a speed limit."""
+"""The velocity tasks: bodies of Gymnasium's v4 environments with a speed limit."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -28,36 +28,36 @@ class Body(NamedTuple):
     """A body and its task."""
 
     xml: str
-    """Model file of the installed gymnasium"""
+    """Name of the model file in the installed gymnasium."""
     substeps: int
     max_speed: float
-    """Above it a step costs, m/s."""
+    """Speed limit, m/s, above which a step costs."""
     noise: float
-    """Bound of the uniform noise at the start on each number of qpos and qvel"""
+    """Bound of the uniform noise on each number of qpos and qvel at the start."""
     control_cost: float
     alive: float = 0.0
     forward: float = 1.0
     """The reward is forward * speed + alive - control_cost * |action|²."""
     hidden: int = 1
-    """Numbers of qpos that are not observed: x, or x and y"""
+    """How many leading numbers of qpos are not observed: x, or x and y."""
     normal: bool = False
-    """Whether the noise of qvel is normal, with that deviation"""
+    """Whether the noise of qvel is normal, with `noise` as standard deviation."""
     clipped: float = np.inf
-    """Bound on observed velocities"""
+    """Bound on observed velocities."""
     planar: bool = True
-    """Whether it moves in a plane; otherwise its speed is that of x and y"""
+    """Whether the body moves in a vertical plane; otherwise its speed is that in x and y."""
     height: tuple[float, float] | None = None
-    """Heights of the torso, m, outside which an episode ends; None: it never ends."""
+    """Range of the torso's height, m, outside which the episode ends; None: it never ends."""
     tilt: tuple[float, float] | None = None
-    """Tilts of the torso, rad, outside which it ends; None: any."""
+    """Range of the torso's tilt, rad, outside which the episode ends; None: no limit."""
     rest: float | None = None
-    """Size of another number of the state from which on it ends; None: any."""
+    """Absolute value of any other number of the state at which the episode ends; None: no limit."""
     rim: bool = False
-    """Whether the limits of the height belong to it"""
+    """Whether the ends of `height` belong to the allowed range."""
     measured: str = "qpos"
-    """Source of the speed: "qpos", "torso" or "centre of mass" """
+    """Source of the speed: "qpos", "torso" or "centre of mass"."""
     terms: tuple[str, ...] = ()
-    """Names in the info of the reward's terms: for the way, less for control, for being alive"""
+    """Names in the info of the reward's terms: progress, minus control cost, being alive."""
 
 
 BODIES = {
@@ -108,24 +108,24 @@ OLD_SPEEDS = {
     "Ant": 2.5745,
     "Humanoid": 2.3475,
 }
-"""Limits of version 0, m/s; the Swimmer's is of its speed in the plane there"""
+"""Speed limits of version 0, m/s; in that version the Swimmer's speed is the one in x and y."""
 HUMANOID_EXTRA = ("cinert", "cvel", "qfrc_actuator")
-"""Fields of MuJoCo that the Humanoid observes; the last is cfrc_ext, the forces of contacts."""
+"""Fields of MuJoCo's data that the Humanoid observes, besides cfrc_ext, the contact forces."""
 
 
 @functools.cache
 def model(body: str) -> mujoco.MjModel:
-    """Return a body's model, from the installed gymnasium. It is shared: nobody writes to it."""
+    """Return a body's model, from the installed gymnasium. It is shared: do not write to it."""
     folder = importlib.resources.files("gymnasium").joinpath("envs/mujoco/assets")
     xml = folder.joinpath(f"{BODIES[body].xml}.xml").read_text()
     total = re.search(r'\s*settotalmass="([\d.]+)"', xml)
-    # HalfCheetah's, of which MuJoCo 4.0 warns.
+    # HalfCheetah has settotalmass, which makes MuJoCo 4.0 warn; it is applied below instead.
     spec = mujoco.MjSpec.from_string(xml.replace(total[0], "") if total else xml)
     as_the_original(spec.option)
-    # One tree of bodies is one island: the search for others takes a tenth of a step's time.
+    # One tree of bodies is one island; searching for islands takes a tenth of a step's time.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     for geom in spec.geoms:
-        # Since MuJoCo 3.5 the margins of two geoms add up; the greater one counted before.
+        # Since MuJoCo 3.5 the margins of two geoms are added; before, the greater margin counted.
         geom.margin *= 0.5
     compiled = spec.compile()
     if total:
@@ -135,16 +135,16 @@ def model(body: str) -> mujoco.MjModel:
 
 
 class VelocityTask(MuJoCoTask):
-    """`num_envs` copies of a body of `BODIES` with a speed limit; 1000 steps an episode.
+    """`num_envs` copies of a body of `BODIES` with a speed limit; 1000 steps per episode.
 
-    The observation is qpos without x (and y), then qvel, cut where `Body.clipped` says; of the
+    The observation is qpos without x (and y), then qvel, clipped to `Body.clipped`; for the
     Humanoid also MuJoCo's cinert, cvel, qfrc_actuator and cfrc_ext. Actions are torques over the
-    actuator's gear; MuJoCo clips them, the reward's control cost does not.
-    `info["x_velocity"]`, and of Swimmer, Ant, Humanoid `info["y_velocity"]`, is the mean over the
-    step, m/s; `info["x_position"]` is where it ended, m; the reward's terms have the original's
-    names: `Body.terms`. version: 0 has other speed limits, `OLD_SPEEDS`. Where the original reads
-    positions that are those of the last stage of MuJoCo's integrator (Ant, Humanoid), so does this.
-    Source: safety-gymnasium 1.0.0 on gymnasium's v4.
+    actuator's gear; MuJoCo clips them, but the reward's control cost is that of unclipped actions.
+    `info["x_velocity"]`, and for Swimmer, Ant and Humanoid `info["y_velocity"]`, is the mean over
+    the step, m/s; `info["x_position"]` is the position at its end, m; the reward's terms have the
+    original's names: `Body.terms`. version: 0 has other speed limits, `OLD_SPEEDS`. For Ant and
+    Humanoid, positions are those of the last stage of MuJoCo's integrator, as in the original.
+    Source: safety-gymnasium 1.0.0 on Gymnasium's v4.
     """
 
     def __init__(
@@ -153,8 +153,8 @@ class VelocityTask(MuJoCoTask):
         self.body = BODIES[body]
         if version == 0:
             self.body = self.body._replace(max_speed=OLD_SPEEDS[body])
-        self._sideways = self.body.hidden == 2  # y is told
-        # Whether the speed that costs is that of x and y
+        self._sideways = self.body.hidden == 2  # the info has y
+        # Whether the speed that costs is that in x and y.
         self._both = not self.body.planar or (body == "Swimmer" and version == 0)
         observes_forces = body == "Humanoid"
         super().__init__(
@@ -180,11 +180,11 @@ class VelocityTask(MuJoCoTask):
         self._bodies = None if measured is None else self.batch.bind(measured)
         self._all = np.arange(self.num_envs)
         self._scratch = mujoco.MjData(self.model)
-        self._seen = np.zeros((self.num_envs, size - lead))  # what else is observed
-        self._place = np.zeros((self.num_envs, 2))  # where the body is, for its speed
+        self._seen = np.zeros((self.num_envs, size - lead))  # observed besides qpos and qvel
+        self._place = np.zeros((self.num_envs, 2))  # x and y by which the speed is measured
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Put the bodies `index` near their rest."""
+        """Put the bodies `index` near their rest positions."""
         nq, nv, noise = self.model.nq, self.model.nv, self.body.noise
         draw = streams.uniform(index, draws=(nq + (2 if self.body.normal else 1) * nv + 3) // 4)
         qpos = self.model.qpos0 + noise * (2.0 * draw[:, :nq] - 1.0)
@@ -194,12 +194,12 @@ class VelocityTask(MuJoCoTask):
         else:
             qvel = noise * (2.0 * draw[:, nq : nq + nv] - 1.0)
         if not self.body.planar:
-            # MuJoCo 2.3.3 did so itself.
+            # Normalise quaternions, as MuJoCo 2.3.3 did itself.
             qpos[:, 3:7] /= np.sqrt((qpos[:, 3:7] ** 2).sum(axis=1, keepdims=True))
         self.place(index, qpos, qvel)
 
     def place(self, index: NDArray[np.intp], qpos: Floats, qvel: Floats) -> None:
-        """Put the bodies `index` into states: [len(index), nq], [len(index), nv]."""
+        """Put the bodies `index` into states: qpos [len(index), nq], qvel [len(index), nv]."""
         self.begin(index, qpos, qvel)
         if self._bodies is not None:
             self.batch.forward(index)
@@ -207,11 +207,11 @@ class VelocityTask(MuJoCoTask):
         self._see(index, forces=False)
 
     def put_measured(self, index: int, place: Floats) -> None:
-        """Set where the body was as its next speed is measured: [2] m."""
+        """Set the place from which the body's next speed is measured: [2] m."""
         self._place[index] = place
 
     def step(self, action: Floats) -> Outcome:
-        """Move all bodies by their actions, [num_envs, nu]."""
+        """Move all bodies with their actions, [num_envs, nu]."""
         before = self._place
         self.advance(action)
         self._place = self._where()
@@ -231,7 +231,7 @@ class VelocityTask(MuJoCoTask):
         return Outcome(reward, self._fell(), info)
 
     def state_info(self) -> dict[str, Floats]:
-        """Return where the bodies are; velocities belong to the step."""
+        """Return the bodies' places; velocities are in the step's info."""
         place = {"x_position": self._place[:, 0].copy()}
         if self._sideways:
             place["y_position"] = self._place[:, 1].copy()
@@ -247,16 +247,16 @@ class VelocityTask(MuJoCoTask):
         return np.concatenate((self.qpos[:, self.body.hidden :], qvel, *seen), axis=1)
 
     def state_dict(self) -> State:
-        """Return all that steps and observations depend on."""
+        """Return everything that steps and observations depend on."""
         return {**super().state_dict(), "place": self._place.copy(), "seen": self._seen.copy()}
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state."""
+        """Load a state from `state_dict`."""
         super().load_state_dict(state)
         self._place, self._seen = state["place"].copy(), state["seen"].copy()
 
     def _where(self) -> Floats:
-        """Where the bodies are, as their speeds are measured: [num_envs, 2] m."""
+        """Return the places by which the bodies' speeds are measured: [num_envs, 2] m."""
         if self._bodies is None:
             return self.qpos[:, :2].copy()
         if self.body.measured == "torso":
@@ -287,7 +287,7 @@ class VelocityTask(MuJoCoTask):
         if not forces:
             return
         for i in index:
-            # The batch does not compute these forces, and a sensor would see another stage's.
+            # The batch does not compute these forces; a sensor would show those of another stage.
             self.batch.get_data(i, self._scratch)
             mujoco.mj_rnePostConstraint(self.model, self._scratch)
             self._seen[i, -6 * self.model.nbody :] = self._scratch.cfrc_ext.ravel()

@@ -16,7 +16,7 @@ from circle2d_mj.safety import rules
 from circle2d_mj.safety.scenes import Scene
 
 Ticks = tuple[tuple[float, ...], tuple[float, ...]]
-"""Numbers on the axes of a picture: along its lower and its left edge"""
+"""Numbers on the axes of a picture: along the lower and the left edge."""
 _GOAL_COLOUR = (222, 238, 218)
 
 
@@ -50,7 +50,7 @@ class _MapView(ABC):
 
 
 class MapView(_MapView):
-    """The plane from above; beyond the walls states cost."""
+    """The plane from above; states beyond the walls cost."""
 
     axes = ("x (m)", "y (m)")
 
@@ -77,13 +77,13 @@ class MapView(_MapView):
 
 
 class DistanceView(_MapView):
-    """Distance to the nearest hazard over distance to the target, which is the goal, or the box.
+    """Distance to the nearest hazard over distance to the target, the goal or the box.
 
     Targets and hazards lie elsewhere in each episode, so in a map of the world the visits of many
-    episodes average out. These two distances are what reward and cost depend on: an episode runs
-    from the right to the left, and it costs where it dips below the hazards' radius. Both come from
-    the lidars, `target` and `hazards` by their first number in the observation; beyond their reach
-    of 3 m a distance shows as 3 m.
+    episodes average out. Reward and cost depend on these two distances: an episode runs from right
+    to left, and steps cost when it dips below the hazards' radius. Both distances come from the
+    lidars, whose first numbers in the observation are at `target` and `hazards`; a distance beyond
+    their reach of 3 m shows as 3 m.
     """
 
     extent = (0.0, 3.0, 0.0, 1.5)
@@ -102,7 +102,7 @@ class DistanceView(_MapView):
         return 3.0 * (1.0 - np.stack(nearest, axis=-1))
 
     def background(self, size: int) -> Picture:
-        """Paint the states that cost grey, the others in which the goal is reached green."""
+        """Paint states that cost grey, and other states in which the goal is reached green."""
         points, picture = canvas.points_of_pixels(self.extent, size), super().background(size)
         reached = rules.goal_met(points[..., 0]) & ~self._costs(points) & self._met
         return np.where(reached[..., None], _GOAL_COLOUR, picture).astype(np.uint8)
@@ -112,7 +112,7 @@ class DistanceView(_MapView):
 
 
 class SpeedView(_MapView):
-    """The observation's first number (a height or an angle) over speed; speeds that cost are
+    """The observation's first number, a height or an angle, over speed; speeds that cost are
     grey."""
 
     def __init__(self, extent: Extent, name: str, limit: float, ticks: Ticks, planar: bool) -> None:
@@ -148,9 +148,9 @@ _SPEEDS: dict[str, tuple[Extent, str, Ticks]] = {
 
 
 def of_scene(family: str, scene: Scene, radius: float, sensors: int) -> View | None:
-    """Return the view of a scene; None where there are no hazards or walls to show.
+    """Return the view of a scene; None if there are no hazards or walls to show.
 
-    radius: of its hazards, m; sensors: numbers in front of the lidars in the observation.
+    radius: of the hazards, m; sensors: how many numbers precede the lidars in the observation.
     """
     if family in _FROM_ABOVE:
         extent, ticks, circle = _FROM_ABOVE[family]

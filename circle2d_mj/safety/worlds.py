@@ -1,7 +1,7 @@
-"""The MuJoCo models of the navigation tasks, each compiled once in a process."""
+"""The MuJoCo models of the navigation tasks, each compiled once per process."""
 
 # pyright: reportAttributeAccessIssue=false
-# mujoco's names are compiled in, where pyright does not see them.
+# mujoco's names are defined in compiled modules, which pyright cannot read.
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from circle2d_mj.safety.layout import Areas
 from circle2d_mj.safety.robots import AGENTS, Agent, Eye
 from circle2d_mj.safety.scenes import Kind, Scene
 
-# The original ran MuJoCo 2.3.3. What its results need on current MuJoCo:
+# The original ran MuJoCo 2.3.3. These settings give its results on current MuJoCo:
 TOLERANCE = 1e-12
-"""Newton's: since 3.11 it stops earlier at the same tolerance."""
+"""Tolerance of the Newton solver, which since 3.11 stops earlier at the same tolerance."""
 WELD_TORQUE_SCALE = np.sqrt(150.0)
-"""Ratio of a gremlin's inverse weights, rotation over translation, under the root: since 3.0 a
-weld's rotation has its own."""
+"""Square root of a gremlin's inverse weight for rotation over that for translation: since 3.0 the
+rotation of a weld has a weight of its own."""
 
 
 def as_the_original(option: mujoco.MjOption) -> None:
-    """Set the options under which current MuJoCo gives the numbers of 2.3.3."""
+    """Set options so that current MuJoCo reproduces the numbers of 2.3.3."""
     if option.solver == mujoco.mjtSolver.mjSOL_NEWTON:
         option.tolerance = TOLERANCE
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
@@ -35,27 +35,27 @@ def as_the_original(option: mujoco.MjOption) -> None:
 
 
 class World(NamedTuple):
-    """A scene with an agent, and where its parts are in arrays.
+    """A scene with an agent, and the places of its parts in arrays.
 
-    Objects are the rows of the layout: the agent, then the scene's objects as they are placed.
+    The rows of the layout are the agent, then the scene's objects in the order of placement.
     """
 
     agent: Agent
     scene: Scene
     family: str
     model: mujoco.MjModel
-    """Physics alone: what nothing touches is not in it."""
+    """The model of the physics, without objects that nothing touches."""
     areas: Areas
-    """Where objects may be placed"""
+    """Where agent and objects may be placed."""
     rows: dict[str, slice]
-    """Kind -> its rows of the layout"""
+    """Kind -> rows of the layout."""
     kinds: dict[str, Kind]
     mocap: NDArray[np.intp]
-    """Rows of the layout that are mocap bodies, in MuJoCo's order: all static and driven objects"""
+    """Rows of the layout that are mocap bodies (static and driven objects), in MuJoCo's order."""
     free: slice
-    """Rows of the layout that are free bodies behind the agent in qpos and qvel"""
+    """Rows of the layout that are free bodies, which follow the agent in qpos and qvel."""
     touch: dict[str, slice]
-    """Kind -> its part of MuJoCo's sensors: > 0 where the agent touches the object"""
+    """Kind -> slice of MuJoCo's sensors: > 0 where the agent touches the object."""
 
 
 def names(kind: Kind, count: int) -> list[str]:
@@ -66,7 +66,7 @@ def names(kind: Kind, count: int) -> list[str]:
 
 @functools.cache
 def world(agent_name: str, family: str, scene: Scene) -> World:
-    """Return the world of a task. Its model is shared: nobody writes to it."""
+    """Return the world of a task. Its model is shared: do not write to it."""
     agent = AGENTS[agent_name]
     kinds = {p.kind: scenes.kind(p.kind, family, agent_name) for p in scene.placed}
     spec = _spec(agent, scene)
@@ -84,7 +84,7 @@ def world(agent_name: str, family: str, scene: Scene) -> World:
         start = stop
     touch = _add_touch_sensors(spec, agent, scene, family, kinds)
     if not free:
-        # One tree of bodies is one island: no need to search for others.
+        # One tree of bodies is one island: MuJoCo need not search for islands.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     return World(
         agent,
@@ -112,8 +112,8 @@ def gremlin_alone(timestep: float, integrator: int) -> mujoco.MjModel:
 
 @functools.cache
 def picture_model(agent_name: str, family: str, scene: Scene) -> mujoco.MjModel:
-    """Return the world's model with all that is drawn: goal, hazards and circle as mocap bodies
-    behind the others, walls, a light and a camera."""
+    """Return the world's model with everything that is drawn: goal, hazards and circle as mocap
+    bodies after the others, walls, a light and cameras."""
     kinds = {p.kind: scenes.kind(p.kind, family, agent_name) for p in scene.placed}
     spec = _spec(AGENTS[agent_name], scene)
     for drawn in (False, True):
@@ -128,7 +128,7 @@ def picture_model(agent_name: str, family: str, scene: Scene) -> mujoco.MjModel:
 
 
 def _areas(scene: Scene) -> Areas:
-    """Where the agent and each object may be placed."""
+    """Return where the agent and each object may be placed."""
     square = scene.half_width
     keepout = [0.0 if scene.start else scenes.AGENT_KEEPOUT]
     for placed in scene.placed:
@@ -139,7 +139,7 @@ def _areas(scene: Scene) -> Areas:
         left, bottom, right, top = scene.start
         half[0] = (right - left) / 2, (top - bottom) / 2
         centre[0] = (left + right) / 2, (bottom + top) / 2
-        half[1:] = 0.0  # the circle
+        half[1:] = 0.0  # the circle has a fixed place
     return Areas(centre, half, np.array(keepout))
 
 
@@ -152,7 +152,7 @@ def _spec(agent: Agent, scene: Scene) -> mujoco.MjSpec:
 
 def _as_navigation(option: mujoco.MjOption) -> None:
     as_the_original(option)
-    # From a cold start the solver takes a tenth less time. It must not stop early then.
+    # Without warm starts the solver takes a tenth less time, but must then not stop early.
     option.tolerance = 1e-16
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
 
@@ -193,7 +193,7 @@ def _add_object(spec: mujoco.MjSpec, name: str, kind: Kind) -> None:
 
 
 def _add_shade(spec: mujoco.MjSpec, name: str, kind: Kind) -> None:
-    """Show a target that drives an object, as the original does."""
+    """Make an object's moving target visible, as in the original."""
     drawn = kind._replace(physics="none", colour=(*kind.colour[:3], 0.1))
     _add_geom(spec.body(name), drawn, name, kind.size, place=(0.0, 0.0, 0.0))
 
@@ -222,11 +222,11 @@ def _add_geom(
 def _add_touch_sensors(
     spec: mujoco.MjSpec, agent: Agent, scene: Scene, family: str, kinds: dict[str, Kind]
 ) -> dict[str, slice]:
-    """Add a sensor for each object whose touch is asked for; return where they are in the data."""
+    """Add a contact sensor for each object whose touch is needed; return their slices by kind."""
     asked = {cost.removesuffix("_contact") for cost in scene.costs}
     asked |= {"buttons"} if family == "Button" else set()
     touch: dict[str, slice] = {}
-    start = agent.sensed  # the agent's sensors lead
+    start = agent.sensed  # the agent's sensors come first
     for placed in scene.placed:
         kind = kinds[placed.kind]
         if placed.kind not in asked or kind.physics == "none":
@@ -237,9 +237,9 @@ def _add_touch_sensors(
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
                 objtype=mujoco.mjtObj.mjOBJ_BODY,
                 objname=name,
-                reftype=mujoco.mjtObj.mjOBJ_XBODY,  # a body with all that hangs on it
+                reftype=mujoco.mjtObj.mjOBJ_XBODY,  # a body with its descendants
                 refname="agent",
-                intprm=[1, 0, 1],  # data "found", no reduction, of one contact
+                intprm=[1, 0, 1],  # data "found", no reduction, one contact
             )
         touch[placed.kind] = slice(start, start + placed.number)
         start += placed.number
@@ -247,11 +247,11 @@ def _add_touch_sensors(
 
 
 def _add_scenery(spec: mujoco.MjSpec, scene: Scene, eye: Eye) -> None:
-    """Add the original's floor, light and cameras; its sky, 24 MB of faint stars, is black."""
+    """Add the original's floor, light and cameras; its sky, 24 MB of faint stars, stays black."""
     spec.visual.quality.numslices, spec.visual.quality.shadowsize = 64, 0
     if not scene.start:
-        # Cameras see from a hundredth of it on: the Racecar's is 13 mm behind its bumper. The
-        # original's is that of the objects where they are placed.
+        # The near plane of cameras is at a hundredth of the extent; the Racecar's camera is 13 mm
+        # behind its bumper. The original's extent depends on where objects are placed.
         spec.stat.extent = 2 * scene.half_width
     squares = spec.add_texture(name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D)
     squares.builtin, squares.width, squares.height = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, 100, 100
@@ -260,7 +260,7 @@ def _add_scenery(spec: mujoco.MjSpec, scene: Scene, eye: Eye) -> None:
     textures = material.textures
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     extent = floor.size[0]
-    wide = max(extent, scene.half_width + 1)  # a half_width of one's own may be beyond the floor
+    wide = max(extent, scene.half_width + 1)  # a user's half_width may exceed the floor
     material.textures, material.texrepeat = textures, [10 * wide / extent] * 2
     material.reflectance = material.shininess = material.specular = 0.1
     floor.material, floor.rgba, floor.size = "floor", [1, 1, 1, 1], [wide, wide, 0.1]
@@ -289,7 +289,7 @@ def _add_scenery(spec: mujoco.MjSpec, scene: Scene, eye: Eye) -> None:
     follows = long > 3.5
     top = _add_camera(agent if follows else world, "top", (0, 0, 5), (1, 0, 0, 0, 1, 0), follows)
     top.proj, top.fovy = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC, 2 * (scene.half_width + 1)
-    # The original's.
+    # The original's cameras.
     _add_camera(world, "fixednear", (0, -2, 2), (1, 0, 0, 0, 1, 1))
     _add_camera(world, "fixedfar", (0, -5, 5), (1, 0, 0, 0, 1, 1))
     _add_camera(agent, "track", (0, 2, 2), (-1, 0, 0, 0, -1, 1), follows=True)
@@ -304,8 +304,8 @@ def _add_camera(
     axes: tuple[float, ...],
     follows: bool = False,
 ) -> mujoco.MjsCamera:
-    """Add a camera to a body: its place and its x and y axes there. One that `follows` keeps both
-    in the world's axes, whatever way the body turns."""
+    """Add a camera to a body, with its place and its x and y axes on the body. A camera that
+    `follows` moves with the body, but does not turn with it."""
     modes = mujoco.mjtCamLight
     mode = modes.mjCAMLIGHT_TRACK if follows else modes.mjCAMLIGHT_FIXED
     camera = body.add_camera(name=name, pos=list(place), mode=mode)

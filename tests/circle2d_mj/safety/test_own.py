@@ -132,9 +132,9 @@ def test_places_that_are_given():
     assert len(others) == 3
     for bad, message in (
         ({"pillars": [(0, 0)]}, "places may hold agent, goal, hazards, vases, got 'pillars'"),
-        ({"goal": [(0, 0), (1, 1)]}, r"places\['goal'\] must be 1 at most, got 2"),
+        ({"goal": [(0, 0), (1, 1)]}, r"places\['goal'\] may hold at most 1, got 2"),
         ({"goal": "here"}, "could not convert|must be pairs"),
-        ({"hazards": [(0, 0), (0.1, 0)]}, "0.1 m apart; they need 0.36"),
+        ({"hazards": [(0, 0), (0.1, 0)]}, "0.1 m apart; the minimum is 0.36"),
     ):
         with pytest.raises(ValueError, match=message):
             gym.make("circle2d_mj/SafetyPointGoal1-v0", places=bad)
