@@ -355,7 +355,7 @@ def test_modules_that_are_not_here_say_what_takes_their_place(tmp_path):
     told = outside(*run, cwd=tmp_path).splitlines()
     assert len(told) == 3
     for line in told:
-        assert line.startswith("safety_gymnasium.") and "use circle2d_mj.safety.own.register" in line
+        assert line.startswith("safety_gymnasium.") and "use circle2d_mj.safety.own" in line
     with pytest.raises(NotImplementedError, match="multi-agent"):
         safety_gymnasium.make_ma("Ant", "2x4")
 
