@@ -111,7 +111,7 @@ def _read_array(open_: Callable[[], IO[bytes]], size: int, name: str) -> NDArray
             held = size - file.tell()
         if not dtype.hasobject and math.prod(shape) * dtype.itemsize != held:
             raise ValueError(f"{name} holds {held} bytes, its header says {list(shape)} {dtype}")
-        with open_() as file:  # opened again: after a seek zipfile no longer verifies the checksum
+        with open_() as file:  # opened again: after a seek zipfile may not verify the checksum
             array = np.lib.format.read_array(file, allow_pickle=False)
             file.read()  # zipfile verifies the checksum at the end of the member
     return array
