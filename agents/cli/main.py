@@ -1,7 +1,7 @@
-"""The command `circle2d`: finds the command's file, and turns errors and signals (Ctrl-C, those of
-batch systems and closed terminals) into one line and a status.
+"""The command `circle2d`: runs a subcommand, and turns errors and signals (Ctrl-C, signals of batch
+systems and closed terminals) into a one-line message and an exit status.
 
-Imports neither torch nor tyro nor matplotlib: what a command needs is imported when it runs.
+This module imports neither torch nor tyro nor matplotlib: a subcommand imports what it needs.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ if TYPE_CHECKING:  # the command line starts without torch
 
 COMMANDS = {
     "train": ("training", "train runs of an algorithm on tasks, evaluate them, print their table"),
-    "resume": ("training", "go on with runs that were interrupted"),
+    "resume": ("training", "continue runs that were interrupted"),
     "grid": ("training", "train algorithms on tasks on all cores, and report"),
     "evaluate": ("policies", "play episodes with trained policies"),
     "reproduce": ("training", "run the paper's experiments, or a part of them, and report"),
-    "zoo": ("showing", "list the trained agents that come with the package, and what they reach"),
+    "zoo": ("showing", "list the trained agents that come with the package, and their results"),
     "report": ("showing", "write tables, training curves and heat maps of trained runs"),
     "plot": ("showing", "draw learning curves for a paper: PDF, SVG, PNG, PGF"),
-    "compare": ("showing", "put two sets of runs side by side, with their differences"),
+    "compare": ("showing", "compare two sets of runs, with their differences"),
     "heatmap": ("showing", "draw which states were visited in training"),
     "export": ("policies", "write trained policies as safetensors or ONNX files, with a card"),
     "render": ("policies", "draw episodes of trained policies, side by side: PNG, GIF, MP4"),
     "scene": ("showing", "print the MuJoCo scene of a task (MJCF)"),
 }
-"""The file beside this one that has a function of each command's name, and what it does."""
+"""For each command: the module here that has a function of its name, and its description."""
 
 
 def usage() -> str:
-    """Text of `circle2d --help`."""
+    """Return the text of `circle2d --help`."""
     from agents.algorithms import ALGORITHMS
 
     commands = "\n".join(f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items())
@@ -68,10 +68,10 @@ def usage() -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status: 0 done, 1 a run or a task failed, 2 a mistake of the
-    user, 128 and the number of the signal that ended it (130 for Ctrl-C)."""
+    """Run a command; return the exit status: 0 done, 1 a run or the user's own code failed, 2 a
+    mistake of the user, 128 plus the number of the signal that ended the command (Ctrl-C: 130)."""
     args = sys.argv[1:] if args is None else args
-    if isinstance(sys.stdout, io.TextIOWrapper):  # not None, as where it is closed
+    if isinstance(sys.stdout, io.TextIOWrapper):  # it is None if stdout is closed
         sys.stdout.reconfigure(errors="replace")  # characters that a terminal's encoding lacks
     try:
         if not args or args[0] in ("-h", "--help"):
@@ -89,7 +89,7 @@ def main(args: Sequence[str] | None = None) -> int:
             print(traced(error.__cause__), end="", file=sys.stderr)
         say(error)
         return 1 if failed else 2
-    except BrokenPipeError:  # nobody reads on
+    except BrokenPipeError:  # the reader of the pipe has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (OSError, MemoryError) as error:
@@ -97,18 +97,18 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt as error:
         name = f" by {error}" if str(error) else ""
-        how = "'circle2d resume' of a training, or the same 'circle2d reproduce', goes on"
+        how = "'circle2d resume' continues a training, the same 'circle2d reproduce' a grid"
         say(f"interrupted{name}; {how}")
         return 128 + getattr(error, "number", 2)
 
 
 def say(words: object) -> None:
-    """Print a line of the command's own."""
+    """Print one line on stderr, beginning with the program's name."""
     print(f"circle2d: {one_line(words)}", file=sys.stderr)
 
 
 def _run(command: str, args: Sequence[str]) -> int:
-    """Run one command; returns the exit status. Raises UserError for an unknown one."""
+    """Run one command; return the exit status. Raises UserError for an unknown command."""
     if command not in COMMANDS:
         kind = "option" if command.startswith("-") else "command"
         valid = ["--help", "--version"] if kind == "option" else list(COMMANDS)
@@ -118,7 +118,7 @@ def _run(command: str, args: Sequence[str]) -> int:
         warnings.simplefilter("ignore", FailedRunWarning)
         try:
             _check_words(args)
-            # Before signals are handled: libraries turn what is raised meanwhile into other errors.
+            # Import before signals are handled: libraries turn errors raised meanwhile into others.
             module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
             with handling_signals(), no_exit():
                 status = getattr(module, command)(args)
@@ -127,11 +127,11 @@ def _run(command: str, args: Sequence[str]) -> int:
         except ModuleNotFoundError as error:
             if not (hint := extra_hint(error, command)):
                 raise
-            raise UserError(hint) from error  # which may be of the user's code
+            raise UserError(hint) from error  # the import may be in the user's code
 
 
 def _check_words(args: Sequence[str]) -> None:
-    """Raise UserError for an empty word, as an unset variable leaves it."""
+    """Raise UserError for an empty word, such as an unset shell variable leaves."""
     for before, word in pairwise(("", *args)):
         if not word.strip() or word.endswith("="):
             name = word.removesuffix("=") if word.endswith("=") else before
@@ -139,16 +139,16 @@ def _check_words(args: Sequence[str]) -> None:
 
 
 def _print_warning(message: object, *_: object) -> None:
-    """Print a warning as a line of the command's own, without the colours of gymnasium's."""
+    """Print a warning by `say`, without the colours of gymnasium's warnings."""
     say(re.sub(r"\x1b\[[0-9;]*m", "", str(message)))
 
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Not all of them are everywhere."""
+"""Signals to handle, where the platform has them."""
 
 
 class Ended(KeyboardInterrupt):
-    """A signal that ends the command; raised where the program happens to be."""
+    """Raised, wherever the program happens to be, by a signal that ends the command."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -166,7 +166,7 @@ def _handle(number: int, frame: object) -> None:
 def handling_signals() -> Iterator[None]:
     """Raise Ended at a signal, and restore the handlers at the end.
 
-    A signal that is ignored, as by nohup, stays so.
+    A signal that is ignored, for example under nohup, stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -185,27 +185,29 @@ def handling_signals() -> Iterator[None]:
 
 
 class AfterEpoch:
-    """Follows a training. The first signal stops it after the epoch, with a checkpoint; the second
-    ends it at once, as one does where no epoch follows."""
+    """Callback that stops a training after a signal.
+
+    The first signal stops the training after the current epoch, with a checkpoint; a second one, or
+    one after the last epoch, ends it at once."""
 
     running: AfterEpoch | None = None
-    """The one that this process is in."""
+    """The callback of the training that this process runs."""
 
     def __init__(self, imports: Sequence[str]) -> None:
-        """imports: modules that `--import` named."""
+        """imports: modules named by `--import`."""
         self._imports = imports
         self.number: int | None = None
-        """The number of the signal that came."""
+        """Number of the signal that was received."""
         self.steps: dict[Path, tuple[int, int]] = {}
-        """Steps taken and all steps of each folder, of the run that has taken the fewest."""
+        """For each folder: steps taken by its slowest run, and steps of a whole run."""
 
     @property
     def follows(self) -> bool:
-        """Whether there is an epoch whose end a signal can wait for."""
+        """Whether another epoch follows, at whose end a signal can stop the training."""
         return any(taken < steps for taken, steps in self.steps.values())
 
     def __call__(self, epoch: Epoch) -> bool:
-        """Note an epoch; False stops the training."""
+        """Record an epoch; return False to stop the training."""
         taken = (int(numbers["step"]) for numbers in epoch.runs.values())
         self.steps[epoch.folder] = (min(taken, default=epoch.steps), epoch.steps)
         if self.number is not None and not self.follows:
@@ -220,12 +222,12 @@ class AfterEpoch:
         AfterEpoch.running = None
 
     def words(self) -> str:
-        """One line on where the training was stopped. Only after a signal."""
+        """Return one line on where the training was stopped; call it only after a signal."""
         assert self.number is not None
         name = signal.Signals(self.number).name
         taken, steps = min(self.steps.values())
         folders = " ".join([*map(str, self.steps), *(f"--import {name}" for name in self._imports)])
         return (
             f"interrupted by {name} after {taken} of {steps} steps, with a checkpoint; "
-            f"'circle2d resume {folders}' goes on"
+            f"'circle2d resume {folders}' continues the training"
         )

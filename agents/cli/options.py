@@ -31,13 +31,13 @@ from agents.reporting.table import LEAST_WIDTH
 
 T = TypeVar("T")
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
-"""A folder that stands before the options."""
+"""A folder, given before the options."""
 Folders = Annotated[
     tuple[Path, ...],
     tyro.conf.Positional,
     tyro.conf.arg(metavar="FOLDER ...", help_behavior_hint="(required)"),
 ]
-"""Several of them."""
+"""Several folders, given before the options."""
 Imports = Annotated[
     tuple[str, ...],
     tyro.conf.UseAppendAction,
@@ -49,28 +49,28 @@ Imports = Annotated[
         "repeated.",
     ),
 ]
-"""The option `--import`, of every command that may meet a user's own algorithms and tasks."""
+"""The option `--import`, of every command that may use a user's own algorithms and tasks."""
 Width = Annotated[
     int | None,
     In(LEAST_WIDTH),
     tyro.conf.arg(
-        help="Characters of a line that tables fit; by default the terminal's. Into a file or a "
-        "pipe they are printed as Markdown."
+        help="Characters per line for tables; by default the terminal's. To a file or pipe, tables "
+        "are printed as Markdown unless a width is given."
     ),
 ]
 """The option `--width`, of every command that prints tables."""
-Task = Annotated[str | None, tyro.conf.arg(help="Task of the runs, where a folder has several.")]
+Task = Annotated[str | None, tyro.conf.arg(help="Task of the runs, if a folder has several.")]
 """The option `--task`, of commands on the runs of one task."""
 Size = Annotated[int, In(64, 4096), tyro.conf.arg(help="Pixels along each side of a picture.")]
 """The option `--size`, of commands that draw."""
 MEANT = {f"--{a.replace('_', '-')}": f"--{b.replace('_', '-')}" for a, b in OTHER_NAMES.items()}
-"""Other programs' options, and what they are here."""
+"""Options of other programs, and what they are called here."""
 
 
 def parse(options: type[T], command: str, args: Sequence[str]) -> T:
     """Read the options of a command, importing the modules of `--import` first.
 
-    Raises UserError, in one line, for unknown, missing and invalid options.
+    Raises UserError, with a one-line message, for unknown, missing and invalid options.
     """
     import_modules(args)
     message = io.StringIO()
@@ -80,16 +80,16 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
     except SystemExit as exit_:
         if not exit_.code:
             raise HelpShown(0) from None
-        if not (words := message.getvalue()):  # `sys.exit` of somebody's config: see `no_exit`
+        if not (words := message.getvalue()):  # `sys.exit` in a user's config: see `no_exit`
             raise
         meant = [f"{arg} is {MEANT[arg]} here" for arg in args if arg in MEANT]
         raise UserError("; ".join([_in_a_line(words), *meant])) from None
 
 
 def values_of(option: str, args: Sequence[str], most: int | None = None) -> list[str]:
-    """The words behind an option, which others depend on, before the options are read.
+    """Return the words after an option that must be known before all options are parsed.
 
-    most: words that the option takes each time.
+    most: number of words that the option takes each time.
     """
     words: list[str] = []
     for place, arg in enumerate(args):
@@ -101,38 +101,38 @@ def values_of(option: str, args: Sequence[str], most: int | None = None) -> list
 
 
 def import_modules(args: Sequence[str]) -> None:
-    """Import the modules that `--import` names, which may lie in the current folder: without the
-    option nothing there is ever imported. Raises UserError where one cannot be imported."""
+    """Import the modules that `--import` names, also from the current folder, from which nothing is
+    imported without the option. Raises UserError if a module cannot be imported."""
     names = values_of("--import", args, most=1)
     if names and not {os.getcwd(), ""} & set(sys.path):
         sys.path.append(os.getcwd())  # after installed ones
     for name in names:
         if name.endswith(".py"):
-            raise UserError(f"--import takes a module's name: {name.removesuffix('.py')!r}")
+            raise UserError(f"--import takes the name of a module: {name.removesuffix('.py')!r}")
         try:
             importlib.import_module(name)
-        except OWN_ERRORS as error:  # of the user's own code
+        except OWN_ERRORS as error:  # raised by the user's own code
             if is_missing(error, name):
                 raise UserError(f"--import: there is no module {name!r}") from error
             raise OwnCodeError(f"cannot import {name!r}: {described(error)}") from error
 
 
 def _in_a_line(message: str) -> str:
-    """An error that tyro has drawn as a box, without its title and the hint to its help."""
+    """Return the text of an error that tyro draws as a box, without title and hint to its help."""
 
     def is_rule(line: str) -> bool:
         return set(line) <= set("─- ") or line[0] in "╭╰+"
 
     lines = [line.strip("│| ") for line in message.splitlines()]
-    boxed = dropwhile(lambda line: not is_rule(line), lines)  # a title may stand above the box
+    boxed = dropwhile(lambda line: not is_rule(line), lines)  # a title may be above the box
     inside = [line for line in boxed if not is_rule(line)]
     words = takewhile(lambda line: not line.startswith(("For full help", "Argument help")), inside)
-    told = re.sub(r"^Error parsing \w+: ", "", " ".join(words))  # by the name of our class
+    told = re.sub(r"^Error parsing \w+: ", "", " ".join(words))  # has the name of our class
     return told or "the options cannot be understood"
 
 
 def _integers(info: Any) -> Any:
-    """Rule of tyro: integers may be written as 1000000, 1_000_000 or 1e6."""
+    """Rule for tyro that accepts integers written as 1000000, 1_000_000 or 1e6."""
     if info.type is not int:
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
@@ -145,7 +145,7 @@ def _integers(info: Any) -> Any:
 
 
 def integer(text: str) -> int:
-    """Read an integer, 1e6 among them. Raises ValueError for any other text."""
+    """Read an integer, which may be written as 1e6. Raises ValueError for any other text."""
     with contextlib.suppress(ValueError):
         return int(text)
     with contextlib.suppress(ValueError):
@@ -159,7 +159,7 @@ _REGISTRY.primitive_rule(_integers)
 
 
 def check_suffix(path: Path, *allowed: str) -> None:
-    """Raise UserError for a file to be written that has none of these suffixes, or no folder."""
+    """Raise UserError if a file to write has none of the suffixes, or cannot have a folder."""
     if path.suffix.lower() not in allowed:
         raise UserError(f"out must end in {' or '.join(allowed)}, got {str(path)!r}")
     for part in path.parents:
@@ -168,8 +168,8 @@ def check_suffix(path: Path, *allowed: str) -> None:
 
 
 def one_for_each(name: str, given: Sequence[T], folders: Iterable[Path]) -> Sequence[T | None]:
-    """An option's value for each folder, None where it is not given. Raises UserError for a number
-    of values that is not theirs."""
+    """Return an option's value for each folder, or Nones if the option is not given. Raises
+    UserError if the number of values differs from the number of folders."""
     count = len(list(folders))
     if given and len(given) != count:
         raise UserError(f"{name} must be one for each of the {count} folders, got {len(given)}")
@@ -177,8 +177,10 @@ def one_for_each(name: str, given: Sequence[T], folders: Iterable[Path]) -> Sequ
 
 
 def split_options(kind: type, args: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
-    """The words of a command's own options, and the values of all others, which are those of
-    algorithms: as Python reads them, several as a tuple; True without one, and False for --no-NAME.
+    """Separate a command's own options from those of algorithms; return words and values.
+
+    Values are Python literals, or strings; several are a tuple. An option without a value is True,
+    and --no-NAME sets NAME to False.
     """
     names = {"import" if field.name == "imports" else field.name for field in fields(kind)}
     known = {f"--{'no-' * no}{name.replace('_', '-')}" for name in names for no in (0, 1)} | {
@@ -208,7 +210,7 @@ def split_options(kind: type, args: Sequence[str]) -> tuple[list[str], dict[str,
 
 
 def literals(given: Mapping[Any, str]) -> dict[Any, Any]:
-    """Task parameters as Python reads them (3.0, True, (1, 0.5)), else the text itself."""
+    """Evaluate task parameters as Python literals (3.0, True, (1, 0.5)); keep any other text."""
     values: dict[Any, Any] = dict(given)
     for name, text in given.items():
         with contextlib.suppress(ValueError, SyntaxError):

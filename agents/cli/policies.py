@@ -1,4 +1,4 @@
-"""`circle2d evaluate`, `render` and `export`: commands that take trained policies."""
+"""`circle2d evaluate`, `render` and `export`: commands that use trained policies."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _means_over(episodes: int) -> str:
 
 
 def _mean(values: NDArray[np.float64]) -> str:
-    """The mean over episodes with its interval, of few episodes with their range."""
+    """Return the mean over episodes with its interval, or the range of few episodes."""
     mean = emcc.mean_interval(values.ravel())
     if mean.kind == "t":
         return f"{mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
@@ -55,8 +55,8 @@ def _mean(values: NDArray[np.float64]) -> str:
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Play episodes with the policies of a folder's newest checkpoint and print their means. Once
-    the training is done, they replace the evaluation that reports show."""
+    """Play episodes with the policies of a folder's newest checkpoint and print their means. If the
+    training is done, they replace the evaluation that reports show."""
 
     folder: Folder
     """Folder of the runs, or pretrained:ALGORITHM/TASK, a policy that comes with the package."""
@@ -67,14 +67,14 @@ class EvaluateOptions:
 
 
 def evaluate(args: Sequence[str]) -> int:
-    """Run `circle2d evaluate`; returns the exit status."""
+    """Run `circle2d evaluate`; return the exit status."""
     options = parse(EvaluateOptions, "evaluate", args)
     folder = policy.folder_of(options.folder)
     config = TrainConfig.read(folder)
     if options.episodes is not None:
         config = replace(config, evaluation_episodes=options.episodes)
     episodes = config.evaluation_episodes
-    if folder != options.folder:  # a policy of the package: nothing is written
+    if folder != options.folder:  # a policy from the package: nothing is written
         print(f"{options.folder}: {_means_over(episodes)}")
         for name in evaluation.POLICIES:
             with working(f"playing {episodes} episodes"):
@@ -83,7 +83,7 @@ def evaluate(args: Sequence[str]) -> int:
             print(f"{config.runs[0]}, {name} policy: {words}")
         return 0
     folder = folder.absolute()  # a task may change the current one
-    with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
+    with locked(folder), working(f"playing {episodes} episodes of each run with either policy"):
         remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
         trained.load()
@@ -114,7 +114,7 @@ def evaluate(args: Sequence[str]) -> int:
 
 
 PICTURES = 200
-"""Most pictures of an episode in a film, where `--every` is not given."""
+"""Most pictures of an episode in a film, unless `--every` is given."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ class RenderOptions(Settings):
     """Folders of runs on tasks that offer a view or, for films, frames of their own;
     pretrained:ALGORITHM/TASK is a policy that comes with the package."""
     out: Path | None = None
-    """File to write, its suffix the format; by default trajectories.png, with --frames mujoco
-    film.gif, in the first folder, or here for a policy of the package."""
+    """File to write; its suffix decides the format. By default trajectories.png, or film.gif with
+    --frames mujoco, in the first folder, or in the current one for a policy of the package."""
     episodes: int | None = None
     """Number of episodes to draw, the first of the evaluation; by default 3, or all if fewer."""
     task: Task = None
@@ -141,19 +141,19 @@ class RenderOptions(Settings):
     """Draw the stochastic policy instead of the deterministic one."""
     frames: Literal["map", "mujoco"] = "map"
     """map: the trajectory in the task's view, a plane of positions, distances or speeds. mujoco:
-    films of the task as MuJoCo draws it."""
+    films of the task as MuJoCo renders it."""
     camera: Camera | None = None
-    """Where a Circle2DMuJoCo task is seen from with --frames mujoco: above (the default), the side,
-    or behind the agent."""
+    """Camera for a Circle2DMuJoCo task with --frames mujoco: above (the default), at the side, or
+    behind the agent."""
     every: Annotated[int, In(1)] | None = None
-    """Steps from a picture of a film to the next; by default the fewest that show an episode in 200
-    pictures, 20 seconds."""
+    """Steps from one picture of a film to the next; by default the fewest that show an episode in
+    200 pictures, 20 seconds."""
     size: Size = 640
     imports: Imports = ()
 
 
 def render(args: Sequence[str]) -> int:
-    """Run `circle2d render`; returns the exit status."""
+    """Run `circle2d render`; return the exit status."""
     options = parse(RenderOptions, "render", args)
     folders = [policy.folder_of(given) for given in options.folders]
     if not folders:
@@ -204,8 +204,8 @@ def render(args: Sequence[str]) -> int:
 
 
 def camera_of(task: str, chosen: Camera | None) -> Camera | None:
-    """Where frames of MuJoCo are seen from; None for a task with one camera. Raises UserError where
-    one is chosen for such a task."""
+    """Return the camera for frames from MuJoCo; None for a task with only one. Raises UserError if
+    a camera is chosen for such a task."""
     if task.rpartition(":")[2] in PHYSICS.values():
         return chosen or "top"
     if chosen:
@@ -215,7 +215,7 @@ def camera_of(task: str, chosen: Camera | None) -> Camera | None:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Write trained policies, without their noise, as files that other programs read, and a model
+    """Write trained policies, without exploration noise, as files for other programs, and a model
     card. Needs the extra [export]."""
 
     folder: Folder
@@ -224,18 +224,18 @@ class ExportOptions:
     """safetensors: the network's arrays; onnx: a graph from observations to actions."""
     out: Path | None = None
     """Folder for the files; by default `exported` in the runs' folder, with a subfolder for the
-    task where there are several. Required for a policy that comes with the package."""
+    task if there are several. Required for a policy that comes with the package."""
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs to export; by default all."""
     task: Task = None
     step: int | None = None
-    """Environment steps of the training at which the policy was kept, a multiple of its
-    --evaluate-every; by default the newest checkpoint's."""
+    """Environment steps after which the training saved the policy, a multiple of its
+    --evaluate-every; by default the policy of the newest checkpoint."""
     imports: Imports = ()
 
 
 def export(args: Sequence[str]) -> int:
-    """Run `circle2d export`; returns the exit status."""
+    """Run `circle2d export`; return the exit status."""
     options = parse(ExportOptions, "export", args)
     folder = policy.folder_of(options.folder)
     if folder != options.folder and options.out is None:

@@ -1,4 +1,5 @@
-"""`circle2d report`, `plot`, `zoo`, `compare`, `heatmap` and `scene`: commands that show."""
+"""`circle2d report`, `plot`, `zoo`, `compare`, `heatmap` and `scene`: commands that show results
+and tasks."""
 
 from __future__ import annotations
 
@@ -32,32 +33,32 @@ from emcc.parts import ALPHA, PARTS
 
 @dataclass(frozen=True)
 class ReportOptions(Settings):
-    """Print the table of trained runs beside the paper's, or those of a study that a module of
-    --import uses (agents.use_study); write report.md, report.tex, report.csv, measures.csv, and
-    index.html with training curves and heat maps as well."""
+    """Print the table of trained runs with the paper's numbers, or those of the study that a module
+    of --import chooses (agents.use_study); write report.md, report.tex, report.csv, measures.csv,
+    and index.html, which also has training curves and heat maps."""
 
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives. All go into
-    one report, such as your runs beside results/circle2d/runs.zip/Circle2D-1-v0; of one training
-    each, in the order given."""
+    one report, for example your runs and results/circle2d/runs.zip/Circle2D-1-v0. If each is a
+    single training, tables keep the given order."""
     archive: Path | None = None
-    """Archive to write, with all that the report needs; `circle2d report FILE` makes the report
-    from it."""
+    """Archive to write, with everything that the report needs; `circle2d report FILE` makes the
+    report from the archive."""
     out: Path | None = None
     """Folder for the report; by default the folder of the runs, or a folder beside the archive with
     its name. Required with several FOLDERs."""
     columns: tuple[str, ...] = LATEX_COLUMNS
-    """Columns of report.tex, as report.md names them."""
+    """Columns of report.tex, named as in report.md."""
     window: Annotated[int, In(1)] | None = None
-    """EMCC over windows of so many consecutive episodes of a run, in place of its rollouts, which
-    on-policy are ten episodes and off-policy one. Default: rollouts, as in the paper; tables that
-    compare both families take windows of 10 in any case."""
+    """Compute EMCC over windows of this many consecutive episodes instead of rollouts, which are
+    ten episodes for on-policy algorithms and one for off-policy ones. Default: rollouts, as in the
+    paper; tables that compare both families always use windows of 10."""
     width: Width = None
     imports: Imports = ()
 
 
 def report(args: Sequence[str]) -> int:
-    """Run `circle2d report`; returns the exit status: 1 where runs had to be left out."""
+    """Run `circle2d report`; return the exit status: 1 if runs had to be left out."""
     from agents.reporting.report import report as write_report
     from agents.studies import used_study
 
@@ -77,26 +78,26 @@ def report(args: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class PlotOptions(Settings):
-    """Draw learning curves of trained runs for a paper, with intervals over seeds: one file, a row
-    of panels for each task and a column for each measure. Prints the words for its caption."""
+    """Draw learning curves of trained runs for a paper, with intervals over seeds: one file with a
+    row of panels for each task and a column for each measure. Prints a caption."""
 
     folders: Folders
     """Folders of runs, folders above such folders, archives, or folders in archives."""
     measure: tuple[str, ...] = ("return", "cost", "emcc")
     """Measures of training's episodes to draw: return, cost, emcc, length."""
     out: Path = Path("figure.pdf")
-    """File to write, its suffix the format: .pdf, .svg, .png, or .pgf for LaTeX."""
+    """File to write; its suffix decides the format: .pdf, .svg, .png, or .pgf for LaTeX."""
     names: dict[str, str] = field(default_factory=dict)
     """Other names for the legend, as CURVE NAME ..., such as TRPO-Lag "the baseline"."""
     colours: dict[str, str] = field(default_factory=dict)
     """Colours, as CURVE COLOUR ..., such as TRPO-Lag black CPO #0072B2."""
     width: Annotated[float, In(1, 20)] = 5.5
-    """Inches of the figure; the type is 8 points high at any."""
+    """Width of the figure in inches; text is 8 points high at any width."""
     imports: Imports = ()
 
 
 def plot(args: Sequence[str]) -> int:
-    """Run `circle2d plot`; returns the exit status: 1 where runs had to be left out."""
+    """Run `circle2d plot`; return the exit status: 1 if runs had to be left out."""
     from agents.reporting.plot import plot as draw
 
     options = parse(PlotOptions, "plot", args)
@@ -115,16 +116,16 @@ def plot(args: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class ZooOptions(Settings):
-    """List the trained agents that come with the package: what they reach on each task, beside the
-    best that is published. 'circle2d train zoo --task TASK' trains them again; pretrained:zoo/TASK
-    is a policy for the other commands."""
+    """List the trained agents that come with the package: their results on each task, with the best
+    published ones. 'circle2d train zoo --task TASK' trains them again; other commands take such a
+    policy as pretrained:zoo/TASK."""
 
     task: Task = None
     width: Width = None
 
 
 def zoo(args: Sequence[str]) -> int:
-    """Run `circle2d zoo`; returns the exit status."""
+    """Run `circle2d zoo`; return the exit status."""
     from agents.presets import recipe
     from agents.zoo import zoo as rows_of
 
@@ -132,7 +133,7 @@ def zoo(args: Sequence[str]) -> int:
     rows = rows_of()
     if options.task is not None:
         task = task_id(options.task)
-        recipe(task)  # raises where there is none
+        recipe(task)  # raises UserError if there is none
         rows = rows.query("task == @task.rpartition('/')[2]")
     numbers = {"J_R": 2, "J_C": 2, "EMCC_0.33": 2, "EMCC_0.99": 2}
     numbers |= {"published_J_R": 2, "published_J_C": 2}
@@ -144,7 +145,7 @@ def zoo(args: Sequence[str]) -> int:
         for row in rows.astype(object).where(rows.notna(), None).to_dict("records")
     ]
     words = (
-        "J_R, J_C: undiscounted, deterministic policy, 100 episodes a seed; limit of J_C: 25, "
+        "J_R, J_C: undiscounted, deterministic policy, 100 episodes per seed; limit of J_C: 25, "
         "5 on Circle2D; published: the highest return within the limit in OmniSafe's benchmark, "
         "10 000 000 steps"
     )
@@ -159,22 +160,22 @@ class CompareOptions(Settings):
     all tasks together."""
 
     a: Folder
-    """Folder of runs, or one with several such folders below it, an archive, or a folder of an
-    archive, such as results/circle2d/runs.zip/Circle2D-1-v0/sac-lb."""
+    """The first set of runs: a folder of runs, a folder above such folders, an archive, or a folder
+    in an archive, such as results/circle2d/runs.zip/Circle2D-1-v0/sac-lb."""
     b: Folder
-    """Folder of the runs to compare with them."""
+    """The second set of runs, in the same form."""
     out: Path | None = None
     """Folder for compare.md, compare.tex, compare.csv, and compare.html with the training curves of
     both; by default nothing is written."""
     measure: tuple[str, ...] | None = None
-    """Measures that are tested, such as J_R: the p values are corrected for the number of tests. By
-    default all are."""
+    """Measures to test, such as J_R: the p values are corrected for the number of tests. By default
+    all."""
     width: Width = None
     imports: Imports = ()
 
 
 def compare(args: Sequence[str]) -> int:
-    """Run `circle2d compare`; returns the exit status: 1 where runs had to be left out."""
+    """Run `circle2d compare`; return the exit status: 1 if runs had to be left out."""
     from agents.reporting.compare import compare as compare_runs
     from agents.results.reading import LeftOut
 
@@ -187,15 +188,15 @@ def compare(args: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class HeatmapOptions(Settings):
-    """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
-    runs of a folder together: a PNG. Several folders are drawn beside each other."""
+    """Draw, as a PNG, the states that agents visited in training in the rollouts that dominate
+    EMCC, all runs of a folder together. Several folders are drawn side by side."""
 
     folders: Folders
     """Folders of runs on tasks that offer positions."""
     part: tuple[float, ...] = tuple(PARTS)
-    """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
+    """Parts of training, named as in EMCC: 0.33, 0.66, 0.99."""
     alpha: Annotated[float, In(above=0, high=1)] = ALPHA
-    """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
+    """Share of a part's rollouts to draw, those with the highest MCC; 1 draws all."""
     task: Task = None
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs; by default all but those that failed."""
@@ -208,14 +209,14 @@ class HeatmapOptions(Settings):
 
 
 def heatmap(args: Sequence[str]) -> int:
-    """Run `circle2d heatmap`; returns the exit status."""
+    """Run `circle2d heatmap`; return the exit status."""
     from agents.reporting import pictures
 
     options = parse(HeatmapOptions, "heatmap", args)
     if not options.folders:
         raise UserError("heatmap needs a folder of runs")
     if not options.part or not set(options.part) <= set(PARTS):
-        raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
+        raise UserError(f"part must be among {list(PARTS)}, got {list(options.part)}")
     out = options.out or options.folders[0] / "heatmap.png"
     check_suffix(out, ".png")
     names = one_for_each("names", options.names, options.folders)
@@ -240,11 +241,11 @@ class SceneOptions:
     task: tyro.conf.Positional[str] = "Circle2DMuJoCo-1-v0"
     """Id of a Circle2DMuJoCo task."""
     task_parameters: dict[str, str] = field(default_factory=dict)
-    """Its parameters, as NAME VALUE ..., e.g. contact soft stiffness 200."""
+    """Parameters of the task, as NAME VALUE ..., e.g. contact soft stiffness 200."""
 
 
 def scene(args: Sequence[str]) -> int:
-    """Run `circle2d scene`; returns the exit status."""
+    """Run `circle2d scene`; return the exit status."""
     from circle2d_mj.circle2d.scene import scene as build
 
     options = parse(SceneOptions, "scene", args)
@@ -252,7 +253,7 @@ def scene(args: Sequence[str]) -> int:
     with contextlib.closing(unscaled(task, 1, literals(options.task_parameters))) as envs:
         env: Any = envs.unwrapped
         if task.rpartition(":")[2] not in PHYSICS.values():
-            raise UserError(f"scene shows the tasks {', '.join(PHYSICS.values())}, got {task!r}")
+            raise UserError(f"task must be one of {', '.join(PHYSICS.values())}, got {task!r}")
         spec = build(env.config, env.simulation.dynamics.physics)
     spec.compile()
     print(spec.to_xml(), end="")

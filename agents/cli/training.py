@@ -1,4 +1,4 @@
-"""`circle2d train`, `resume`, `evaluate` and `reproduce`: commands that train or play."""
+"""`circle2d train`, `resume`, `grid` and `reproduce`: commands that train."""
 
 from __future__ import annotations
 
@@ -50,19 +50,19 @@ from circle2d_mj.circle2d.config import LEVELS
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Train some runs of an algorithm, one for each task and seed, in step with each other."""
+    """Train runs of an algorithm, one for each task and seed, in lockstep."""
 
     out: Path
-    """Folder that the runs are written to; made, and refused if it holds runs already."""
+    """Folder for the runs; created, and refused if it already holds runs."""
     task: tuple[str, ...] = ("Circle2D-1-v0",)
-    """Ids of gymnasium tasks with info["cost"]; without its version the newest."""
+    """Ids of gymnasium tasks with info["cost"]; an id without a version means the newest one."""
     seeds: tuple[int, ...] = TrainConfig.seeds
     """A run on each task for each seed."""
     steps: int | None = None
-    """Environment steps of each run, rounded up to whole epochs; by default 1 000 000, of zoo as
+    """Environment steps of each run, rounded up to whole epochs; by default 1 000 000, for zoo as
     many as its runs had."""
     checkpoint_every: int = TrainConfig.checkpoint_every
-    """Environment steps of a run between checkpoints, from which a killed run goes on; more, where
+    """Environment steps of a run between checkpoints, from which a killed run continues; more if
     writing them would take more than 2 % of the time."""
     evaluate_every: int | None = TrainConfig.evaluate_every
     """Environment steps of a run between evaluations over 20 episodes of each policy; each
@@ -73,37 +73,37 @@ class TrainOptions:
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
     costs: tuple[str, ...] = TrainConfig.costs
-    """Names of costs in the tasks' info: all are recorded; an algorithm limits the first, or as
-    many as its rule says."""
+    """Names of costs in the tasks' info: all are recorded; an algorithm limits the first one, or as
+    many as it supports."""
     vectorization: Vectorization = TrainConfig.vectorization
-    """How environments run side by side. auto: the task's own vector environment, or gymnasium's
-    SyncVectorEnv where it has none; sync: always SyncVectorEnv; async: a process for each
-    environment, for slow tasks."""
+    """How environments are vectorized. auto: the task's own vector environment, or gymnasium's
+    SyncVectorEnv if it has none; sync: always SyncVectorEnv; async: a process for each environment,
+    for slow tasks."""
     step_timeout: float | None = TrainConfig.step_timeout
     """Seconds that a step may take with async; if a process does not answer in time, the training
     fails. By default there is no limit."""
     tensorboard: bool = TrainConfig.tensorboard
-    """Write TensorBoard event files too."""
+    """Also write TensorBoard event files."""
     preset: PresetName = "paper"
-    """Where hyper-parameters start from. paper: the paper's values on its tasks and their families,
-    the algorithm's defaults elsewhere; zoo: those of the agents that come with the package; none:
-    the defaults everywhere."""
+    """Initial hyper-parameters. paper: the paper's values on its tasks and their families, the
+    algorithm's defaults elsewhere; zoo: those of the agents that come with the package; none: the
+    defaults everywhere."""
     backend: Backend = TrainConfig.backend
     """How networks are computed: in C++, compiled in two seconds the first time, or in NumPy, half
-    as fast, which also stands in with a warning where there is no C++ compiler."""
+    as fast, which is also used, with a warning, if there is no C++ compiler."""
     imports: Imports = ()
 
 
 def train(args: Sequence[str]) -> int:
-    """Run `circle2d train ALGORITHM ...`; returns the exit status."""
+    """Run `circle2d train ALGORITHM ...`; return the exit status."""
     import_modules(args)
     name = next((arg for arg in args[:1] if not arg.startswith("-")), None)
     if name is None:
         names = ", ".join(ALGORITHMS)
         if {"-h", "--help"} & set(args):
             print(f"usage: circle2d train ALGORITHM [OPTIONS]\n\nAlgorithms: {names}.\n")
-            print("zoo is the one that 'circle2d zoo' names for the task, with its settings.")
-            print("'circle2d train ALGORITHM --help' explains the options of one.")
+            print("zoo: the algorithm and settings that 'circle2d zoo' lists for the task.")
+            print("'circle2d train ALGORITHM --help' explains the options of an algorithm.")
             return 0
         raise UserError(f"train needs the algorithm first: one of {names}")
     tasks = [task_id(task) for task in values_of("--task", args)] or [*TrainOptions.task]
@@ -112,13 +112,13 @@ def train(args: Sequence[str]) -> int:
     hyperparameters = preset(own, tasks[0], named)
     for task in tasks[1:]:
         if preset(own, task, named) != hyperparameters:
-            raise UserError(f"{tasks[0]} and {task} have other presets: train them apart")
+            raise UserError(f"{tasks[0]} and {task} have different presets: train them separately")
     try:
         options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
     except UserError:
         for option in (arg.removeprefix("--").replace("-", "_") for arg in args[1:]):
             if not hasattr(hyperparameters, option) and with_hyperparameter(option):
-                preset_with(name, tasks[0], {option: None}, named)  # says whose it is
+                preset_with(name, tasks[0], {option: None}, named)  # its error names who has it
         raise
     out = options.out.absolute()  # a task may change the current folder
     check_folder(out)
@@ -135,7 +135,8 @@ def train(args: Sequence[str]) -> int:
 
 
 def _train_options(hyperparameters: Any) -> type:
-    """`TrainOptions` and the hyper-parameters of an algorithm, with their preset as defaults."""
+    """Return `TrainOptions` extended by an algorithm's hyper-parameters, with the preset's values
+    as defaults."""
     annotation = Annotated[type(hyperparameters), tyro.conf.OmitArgPrefixes]
     return dataclasses.make_dataclass(
         "TrainOptions",
@@ -147,9 +148,9 @@ def _train_options(hyperparameters: Any) -> type:
 
 
 def _finish(runs: Runs, after_epoch: AfterEpoch) -> int:
-    """Print the table of every folder, and the failures; returns the exit status.
+    """Print the table of every folder, and the failures; return the exit status.
 
-    after_epoch: says whether a signal stopped the training, of which one line is printed then.
+    after_epoch: knows whether a signal stopped the training; then only one line is printed.
     """
     if after_epoch.number is not None:
         say(after_epoch.words())
@@ -164,15 +165,15 @@ def _finish(runs: Runs, after_epoch: AfterEpoch) -> int:
 
 
 def no_table(error: UserError, what: str) -> int:
-    """Say why there is no table or report, with the traceback of the user's own code; returns the
-    exit status: 1 for such an error."""
+    """Print why there is no table or report, with the traceback of an error in the user's own code;
+    return the exit status, which is 1 for an error in the user's own code."""
     print(traced(error.__cause__), end="", file=sys.stderr)
     say(f"no {what}: {error}")
     return int(isinstance(error, OwnCodeError))
 
 
 def name_failures(folders: Iterable[tuple[Path, TrainConfig]]) -> int:
-    """Name the runs that failed in training or evaluation; returns the exit status."""
+    """Print the runs that failed in training or evaluation; return the exit status."""
     status = 0
     for folder, config in folders:
         for run, why, trace in derive.failed_runs(folder, config):
@@ -184,19 +185,19 @@ def name_failures(folders: Iterable[tuple[Path, TrainConfig]]) -> int:
 
 @dataclass(frozen=True)
 class ResumeOptions:
-    """Go on with interrupted runs from their newest checkpoint; the results are bit for bit those
-    of runs that were never interrupted."""
+    """Continue interrupted runs from their newest checkpoint; the results are bit for bit those of
+    runs that were never interrupted."""
 
     folders: Folders
     """Folders of runs, one after the other."""
     steps: int | None = None
-    """A new, greater number of environment steps of each run: trainings that are done go on, bit
-    for bit as if they had had it from the start."""
+    """A new, greater number of environment steps for each run: finished trainings continue too, bit
+    for bit as if they had had that number from the start."""
     imports: Imports = ()
 
 
 def resume(args: Sequence[str]) -> int:
-    """Run `circle2d resume`; returns the exit status."""
+    """Run `circle2d resume`; return the exit status."""
     options = parse(ResumeOptions, "resume", args)
     for folder in options.folders:
         TrainConfig.read(folder)
@@ -211,7 +212,7 @@ def resume(args: Sequence[str]) -> int:
         )
     for folder in done:
         steps = TrainConfig.read(folder).steps
-        say(f"{folder}: was done already, all {steps} steps; --steps N, of a greater N, goes on")
+        say(f"{folder}: was done already, all {steps} steps; --steps N with a greater N continues")
     return _finish(runs, after_epoch)
 
 
@@ -220,14 +221,14 @@ class Spread:
     """Options of commands that train grids."""
 
     workers: int | None = None
-    """Trainings at a time, each of one thread; by default one for each core that this process may
-    use, or that the Ray cluster has."""
+    """Number of trainings at the same time, each with one thread; by default one for each core that
+    this process may use, or that the Ray cluster has."""
     engine: EngineName = "local"
-    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each; needs the
+    """local: processes on this machine. ray: tasks on a Ray cluster, with one core each; needs the
     extra [ray]."""
     address: str | None = None
-    """The Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
-    RAY_ADDRESS, or else a cluster of this machine is started."""
+    """The Ray cluster's head, HOST:PORT, or auto for a cluster that runs on this machine; by
+    default RAY_ADDRESS if set, else a new cluster is started on this machine."""
     shard: str | None = None
     """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
     width: Width = None
@@ -237,9 +238,9 @@ class Spread:
 class GridOptions(Spread, TrainOptions):
     """Train several algorithms on several tasks, each with its preset, on all cores, and report.
 
-    Options of the algorithms, as 'circle2d train ALGORITHM --help' explains them, are those of all:
-    --cost-limit 10. Each algorithm and task has a folder, OUT/TASK/ALGORITHM. Given again, the same
-    command goes on where it was interrupted.
+    Options of algorithms, such as --cost-limit 10, apply to all of them; 'circle2d train ALGORITHM
+    --help' explains them. Each algorithm and task has a folder, OUT/TASK/ALGORITHM. Given again,
+    the same command continues where it was interrupted.
     """
 
     algorithms: Annotated[
@@ -249,7 +250,7 @@ class GridOptions(Spread, TrainOptions):
 
 
 def grid(args: Sequence[str]) -> int:
-    """Run `circle2d grid`; returns the exit status."""
+    """Run `circle2d grid`; return the exit status."""
     own, hyperparameters = split_options(GridOptions, args)
     options = parse(GridOptions, "grid", own)
     options = replace(options, out=options.out.absolute())  # a task may change the current folder
@@ -266,19 +267,19 @@ def grid(args: Sequence[str]) -> int:
 class ReproduceOptions(Spread, Settings):
     """Run the paper's experiments, or a part of them, and write the report.
 
-    Given again, the same command goes on where it was interrupted.
+    Given again, the same command continues where it was interrupted.
     """
 
     out: Path
     """Folder for the runs and the report."""
     quick: bool = False
-    """A small version of everything: 2 seeds of 10 000 steps, with --benchmark 30 000 on Safety
-    tasks."""
+    """A small version of everything: 2 seeds of 10 000 steps; with --benchmark 30 000 steps on
+    Safety tasks."""
     benchmark: bool = False
     """Run the benchmark instead: all algorithms on Circle2D and five Safety tasks, 1 000 000 steps
-    each; on Circle2D ten seeds, five off-policy, else three."""
+    each, with ten seeds on Circle2D (five for off-policy algorithms) and three elsewhere."""
     beside: tuple[Path, ...] = ()
-    """Folders of runs or archives that the report shows as well, such as published ones."""
+    """Folders of runs or archives that the report shows too, such as published ones."""
     algorithms: tuple[str, ...] | None = None
     """Algorithms to run; by default the paper's five, with --benchmark all."""
     levels: tuple[int, ...] = LEVELS
@@ -292,9 +293,9 @@ class ReproduceOptions(Spread, Settings):
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the tasks, as NAME VALUE ..., e.g. contact soft stiffness 200."""
     ablations: bool = False
-    """Also run other values of settings that the paper does not specify: TRPO-Lag's multiplier
-    optimiser, bootstrapping at the time limit off-policy, observations in units of length, and
-    WCSAC as in a later library. For SAC-LB-Streak, leave out one part at a time."""
+    """Also run other values of settings that the paper does not specify: the optimiser of
+    TRPO-Lag's multiplier, bootstrapping at the time limit in off-policy algorithms, observations in
+    units of length, and WCSAC as in a later library. For SAC-LB-Streak, leave out each part."""
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2, with --quick 0 1, with --benchmark 3 to
     10."""
@@ -302,13 +303,13 @@ class ReproduceOptions(Spread, Settings):
     """Environment steps of each run; by default the paper's: 1 000 000 on Circle2D, 10 000 000 on
     its Safety tasks; with --quick 10 000, with --benchmark 1 000 000."""
     backend: Backend | None = None
-    """How networks are computed: see `circle2d train ALGORITHM --help`. By default as the runs in
-    out began, else c++."""
+    """How networks are computed: see `circle2d train ALGORITHM --help`. By default the backend of
+    the runs in out, else c++."""
     imports: Imports = ()
 
 
 def reproduce(args: Sequence[str]) -> int:
-    """Run `circle2d reproduce`; returns the exit status."""
+    """Run `circle2d reproduce`; return the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
     options = replace(options, out=options.out.absolute())  # a task may change the current folder
     check_folder(options.out)
@@ -324,13 +325,13 @@ def _run(
     configs: Mapping[Path, TrainConfig],
     beside: Sequence[Path] = (),
 ) -> int:
-    """Train a grid, or its part, and report it; returns the exit status."""
+    """Train a grid and report it, or train a shard of it; return the exit status."""
     out = options.out
     if options.shard is not None:
-        part, count = _shard(options.shard)  # equally cut in all of them
+        part, count = _shard(options.shard)  # every shard splits the grid in the same way
         configs = grid_of.shard(grid_of.split(configs, count * (options.workers or 1)), part, count)
     modules = [*dict.fromkeys([*options.imports, *api.modules_of(configs.values())])]
-    # The engine first: one that refuses leaves no folder behind.
+    # Start the engine first: if it refuses, no folder is left behind.
     with launcher(options.engine, options.workers, modules, options.address) as trainings:
         if options.shard is None:
             configs = grid_of.split(configs, trainings.count)
@@ -340,13 +341,13 @@ def _run(
                 say(f"{folder}: {note}")
             if finished(folder) and any(derive.failed_runs(folder, configs[folder])):
                 say(f"{folder}: holds runs that failed: remove it to train them again")
-        # The parts of a grid train at the same time: there each folder has a lock alone.
+        # The shards of a grid train at the same time, so only their folders are locked, not `out`.
         with contextlib.nullcontext() if options.shard else locked(out):
             failed = _train_all(configs, trainings)
     for folder, why in failed.items():
         say(f"{folder} failed: {why}")
     if options.shard is not None:
-        print(f"part {options.shard} is over; after all: circle2d report {out}")
+        print(f"part {options.shard} is done; when all are: circle2d report {out}")
         return int(bool(failed))
     try:
         with working("drawing the report"):
@@ -359,14 +360,14 @@ def _run(
 
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
-    """The grid's trainings by folder."""
+    """Return the grid's trainings by folder."""
     from agents.paper import grid as papers
 
     names = options.algorithms
     if names is None:
         names = tuple(ALGORITHMS) if options.benchmark else papers.PAPER_ALGORITHMS
     if not names:
-        raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
+        raise UserError(f"algorithms must be among {', '.join(ALGORITHMS)}, got none")
     tasks = [task_id(task) for task in _tasks(options)]
     parameters = literals(options.task_parameters)
     for task in tasks:
@@ -393,7 +394,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
 
 
 def _shard(text: str) -> tuple[int, int]:
-    """I and N of "I/N". Raises UserError."""
+    """Return I and N of "I/N". Raises UserError for any other text."""
     part, _, count = text.partition("/")
     if not (part.isdecimal() and count.isdecimal() and 1 <= int(part) <= int(count)):
         raise UserError(f"shard must be I/N with I from 1 to N, such as 1/4, got {text!r}")
@@ -405,9 +406,9 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
 
     others = options.safety + (options.mujoco or options.levels != LEVELS)
     if options.benchmark and (others or options.ablations):
-        raise UserError("benchmark has tasks of its own: of the options that choose, give tasks")
+        raise UserError("benchmark has its own tasks: to choose others, give tasks")
     if bool(options.tasks) + others > 1:
-        raise UserError("give one of tasks, safety, and levels or mujoco, which choose the tasks")
+        raise UserError("give only one choice of tasks: tasks, safety, or levels and mujoco")
     if options.safety:
         return papers.SAFETY
     if options.benchmark:
@@ -415,14 +416,14 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
     if not options.tasks:
         return papers.circle2d_tasks(options.levels, options.mujoco)
     if options.quick and options.steps is None:
-        raise UserError("quick is of Circle2D: give steps as well for other tasks")
+        raise UserError("quick is for Circle2D: for other tasks, give steps as well")
     return options.tasks
 
 
 def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict[Path, str]:
-    """Train what is not finished, showing it; returns the folders that failed, and why."""
+    """Train the unfinished folders, showing progress; return the failed ones, and why."""
     left = [folder for folder in configs if not finished(folder)]
-    if not left:  # a shard of a grid with fewer trainings than shards has none
+    if not left:  # some shards are empty if the grid has fewer trainings than shards
         return {}
     work = {folder: grid_of.work(config) for folder, config in configs.items()}
     for folder in left:
@@ -460,7 +461,7 @@ def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict
 
 
 def _progress(folder: Path) -> str:
-    """A line on a training that runs now."""
+    """Return a line on a running training."""
     speed = callbacks.speed(folder)
     per_second = "" if speed is None else f", {speed:,.0f} steps/s"
     return escape(f"{folder}: {100 * share_done(folder):.0f} %{per_second}")

@@ -258,7 +258,7 @@ def test_the_first_ends_after_the_epoch_with_a_checkpoint(number, tmp_path, caps
     err = capsys.readouterr().err.splitlines()
     assert err[-1] == (
         f"circle2d: interrupted by {number.name} after 150 of 300 steps, with a checkpoint; "
-        f"'circle2d resume {out}' goes on"
+        f"'circle2d resume {out}' continues the training"
     )
     with np.load(out / "checkpoints" / "000000150.npz") as state:
         assert state["epoch"] == 3
@@ -300,4 +300,4 @@ def test_the_command_that_goes_on_names_the_users_modules():
     follow = AfterEpoch(["my_algorithm"])
     follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
     follow.number = signal.SIGINT
-    assert "'circle2d resume runs/a --import my_algorithm' goes on" in follow.words()
+    assert "'circle2d resume runs/a --import my_algorithm' continues the training" in follow.words()
