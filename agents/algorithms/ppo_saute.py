@@ -30,7 +30,7 @@ class Budget(Augmentation):
     discount: float
     cost: str
     start = (1.0,)
-    strict = False  # `collect` marks episodes with such costs as failed
+    strict = False  # `collect` marks episodes with invalid costs as failed
 
     @property
     def bounds(self) -> Bounds:

@@ -69,7 +69,7 @@ def _penalty(config: SACLBConfig, risk: Float, multipliers: Float) -> tuple[Floa
     switch = -1.0 / t**2
     inside, tangent = z.clip(max=switch), t * z - math.log(-switch) / t + 1.0 / t
     values = np.where(z <= switch, -np.log(-inside) / t, tangent)
-    return values, lambda slope: slope / (-t * inside)  # the tangent's is t, that at the switch
+    return values, lambda slope: slope / (-t * inside)  # the tangent has the slope t
 
 
 RULE = CostRule(risk, critic_loss, penalty)

@@ -145,7 +145,7 @@ def collect(
             raise TaskFailure(
                 f"an episode of {envs} has not ended after {most_steps} steps: {ENDS}"
             )
-        with np.errstate(over="ignore", invalid="ignore"):  # the next line finds them
+        with np.errstate(over="ignore", invalid="ignore"):  # the next check finds them
             action = act(observation)
         if not np.isfinite(action).all():
             finite = np.all(np.isfinite(action), axis=-1)

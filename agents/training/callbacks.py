@@ -224,7 +224,9 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     if trained:
         took = duration(time.monotonic() - trained)
         print(
-            f"{title}: the evaluation took {took}, in no speed above", file=console.file, flush=True
+            f"{title}: the evaluation took {took}, not counted in the speeds above",
+            file=console.file,
+            flush=True,
         )
 
 

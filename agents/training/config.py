@@ -167,7 +167,7 @@ class TrainConfig(Settings):
         if min(self.seeds) < 0:
             raise UserError(f"seeds must be in [0, {MOST}], got {self.seeds}")
         if not isinstance(self.task_parameters, dict):
-            raise UserError(f"task_parameters must be values by name, got {self.task_parameters!r}")
+            raise UserError(f"task_parameters must be a dict, got {self.task_parameters!r}")
         object.__setattr__(self, "task_parameters", as_stored(self.task_parameters))
         if not isinstance(self.hyperparameters, UnregisteredHyperparameters):
             self._check_algorithm()
@@ -366,7 +366,7 @@ def read_spaces(folder: AnyPath) -> Spaces:
 def _no_runs(folder: AnyPath) -> str:
     """Return the message for a folder that holds no runs."""
     if isinstance(folder, Path) and archive_of(folder):
-        return f"{folder} is no folder: report, compare and load_runs alone read archives"
+        return f"{folder} is no folder: only report, compare and load_runs read archives"
     if not folder.is_dir():
         return f"{folder} is no folder"
     below: list[Path] = []
@@ -381,7 +381,7 @@ def _no_runs(folder: AnyPath) -> str:
 def _require_none(folder: Path) -> None:
     if finished(folder):
         raise UserError(
-            f"{folder} holds runs already, which are done: train them on by 'circle2d resume "
+            f"{folder} holds runs already, which are done: train them longer by 'circle2d resume "
             f"{folder} --steps N' or agents.resume({str(folder)!r}, steps=N), or choose another "
             "folder"
         )

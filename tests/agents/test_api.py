@@ -98,7 +98,7 @@ def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
     assert set(updates) == {"folder", "algorithm", *columns}
     expected = runs.to_pandas("updates")[columns]
     pandas.testing.assert_frame_equal(updates[columns], expected, check_dtype=False)
-    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder: .* alone read archives"):
+    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder: only .* read archives"):
         agents.resume(packed)
 
 
@@ -313,7 +313,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
         ({"backend": "fast"}, r"backend must be c\+\+ or numpy"),
         ({"step_timeout": 1e-9}, "step_timeout is for processes: .* async, got auto"),
-        ({"task_parameters": [1]}, r"task_parameters must be values by name, got \[1\]"),
+        ({"task_parameters": [1]}, r"task_parameters must be a dict, got \[1\]"),
         ({"task_parameters": {"a": {0: 1.0}}}, "keys in task_parameters must be strings, got 0"),
         ({"task_parameters": {"a": [int]}}, "values in task_parameters must be plain, got <class"),
         ({"on_epoch": 3}, "on_epoch must be a function of an Epoch, got 3"),

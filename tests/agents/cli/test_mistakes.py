@@ -64,7 +64,7 @@ def mistake(arguments, capsys):
         ([*TO, "--task-parameters", "max_episode_steps", "None"], "episodes must end"),
         (
             [*TRAIN, "--out", "{folder}"],
-            "holds runs already, which are done: train them on by 'circle2d resume",
+            "holds runs already, which are done: train them longer by 'circle2d resume",
         ),
         ([*TRAIN, "--out", "{folder}/config.json"], "be a folder, but '.*config.json' is a file"),
         (["resume"], "resume needs a folder of runs"),

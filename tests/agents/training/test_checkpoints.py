@@ -134,7 +134,7 @@ def test_progress_by_a_clock(capsys, clock):
         f"{told} 30 % after 15 s, 80 steps/s, {recent}, 18 s left",  # 5 s for 20 %, so for 70 %
         f"{told} 90 % after 35 s, 68 steps/s, {recent}, 3 s left",  # 25 s for 80 %, so for 10 %
         f"{told} 100 % after 40 s, 60 steps/s, {recent}, evaluating 100 episodes of each policy",
-        f"{told} the evaluation took 12 s, in no speed above",
+        f"{told} the evaluation took 12 s, not counted in the speeds above",
     ]
 
 
