@@ -1,42 +1,42 @@
 """Safe reinforcement learning: train, evaluate and report runs of several algorithms in lockstep.
 
-The whole entrance from Python:
+The complete Python interface:
 
 | name | |
 | --- | --- |
 | `train(algorithm, task, seeds=..., steps=..., out=...)` | train runs and evaluate them -> `Runs` |
-| `resume(*folders)` | go on with interrupted runs -> `Runs` |
+| `resume(*folders)` | continue interrupted runs -> `Runs` |
 | `load_runs(*folders)` | open the runs at or below folders -> `Runs` |
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
 | `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
-| `zoo()` | what the trained agents that come with the package reach -> a pandas frame |
+| `zoo()` | results of the trained agents that come with the package -> a pandas frame |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
-| `grid(algorithms, tasks, out=...)` | algorithms on tasks, on all cores -> `Runs` |
-| `report(*folders)` | tables, figures and a page of all runs below some folders |
-| `plot(*folders, out=...)` | learning curves for a paper: PDF, SVG, PNG, PGF |
-| `compare(a, b)` | two sets of runs side by side, with their differences |
-| `register(name, Algorithm(...))` | make an algorithm of your own known |
-| `use_study(study)` | show a study of your own in the place of the paper's |
+| `grid(algorithms, tasks, out=...)` | train algorithms on tasks, on all cores -> `Runs` |
+| `report(*folders)` | write tables, figures and a page of all runs below the folders |
+| `plot(*folders, out=...)` | draw learning curves for a paper: PDF, SVG, PNG, PGF |
+| `compare(a, b)` | compare two sets of runs, with their differences |
+| `register(name, Algorithm(...))` | register your own algorithm |
+| `use_study(study)` | show your own study in place of the paper's |
 
 `on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
-agents` imports none of this: names are looked up when they are first used, and torch with them.
+agents` imports none of this: each name is imported, and torch with it, on first use.
 
 The subpackages and modules, lowest layer first; each imports only those before it:
 
-- `errors`, `checks`: mistakes of a caller, errors of their code, values that settings allow
+- `errors`, `checks`: mistakes of the user, errors in their code, values that settings allow
 - `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, rollouts
 - `on_policy`, `trust_region`, `first_order`, `sac`: the families of algorithms
-- `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
-- `presets`: the hyper-parameters that an algorithm starts from on a task
+- `algorithms`: the part that each algorithm's paper adds, one file each, and the registry
+- `presets`: the initial hyper-parameters of an algorithm on a task
 - `training`: configuration, the trainer and its files, what is derived from them, policies
-- `results`: reading of trained runs, their measures, and one tidy frame of them
+- `results`: reading trained runs, their measures, and one tidy frame of them
 - `reporting`: tables, figures, page
 - `paper`: the study of the paper: grid, printed numbers and claims
 - `studies`: the study that reports show, by default the paper's
 - `export`: policies as files for other programs
 - `runs`: runs on disk as Python objects
-- `zoo`: what the trained agents of the package reach
+- `zoo`: results of the package's trained agents
 - `api`: the functions that train and report
 - `cli`: the command `circle2d`
 """
@@ -87,7 +87,7 @@ _HOMES = {
     "agents.training.callbacks": ("Epoch",),
     "agents.training.policy": ("Evaluation", "Policy", "evaluate", "load_policy", "pretrained"),
 }
-"""Names by the module that has them, which is imported when one is first asked for."""
+"""Exported names by the module that defines them, which is imported on first use of a name."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,8 +1,8 @@
-"""The entrance from Python: the functions that `agents` exports.
+"""The Python interface: functions that `agents` exports for training and reporting.
 
-They sit on top of everything but the command line, which is a thin skin over them. Each is a guest
-in the caller's process: torch's threads and the kernel of networks are as before when it returns or
-raises, and no signal handler is touched.
+They use all other modules; the command line is a thin layer on top of them. In the caller's process
+they leave no trace: when a function returns or raises, torch's threads and the networks' backend
+are as before, and no signal handler has changed.
 
 >>> import agents, numpy as np
 >>> runs = agents.train("trpo-lag", "Circle2D-1-v0", seeds=0, steps=200, episodes=2)
@@ -11,7 +11,7 @@ raises, and no signal handler is touched.
 ((2,), (7, 2))
 >>> agents.evaluate(policy, episodes=3).lengths.tolist()
 [50, 50, 50]
->>> agents.resume(runs.folder).config.steps  # it is done: nothing changes
+>>> agents.resume(runs.folder).config.steps  # already done: nothing changes
 200
 """
 
@@ -51,7 +51,7 @@ EngineName = Literal["local", "ray"]
 OnEpoch = Callable[[Epoch], object]
 """Called after every epoch; returning False stops the training."""
 Folder = str | os.PathLike[str]
-"""A path, or `Runs` of one folder, which stand for it."""
+"""A path, or the `Runs` of one folder, which can be given instead of its path."""
 Values = Collection[Any]
 """Values of a hyper-parameter."""
 
@@ -87,39 +87,39 @@ def train(
     >>> [round(float(x)) for x in runs.records[runs.folder, 1].length]
     [50, 50, 50, 50, 50, 50, 50, 50]
 
-    algorithm: name of a built-in (`circle2d --help` lists them) or registered one; "zoo": the one
-        that the zoo has for the task, with its preset and number of steps.
+    algorithm: name of a built-in algorithm (`circle2d --help` lists them) or a registered one;
+        "zoo": the zoo's algorithm for the task, with its preset and number of steps.
     hyperparameters: values that replace those of the task's preset. preset: "paper", the paper's
         values on its tasks and their families, "zoo", those of the agents that come with the
         package, or "none", the algorithm's defaults: see `agents.presets`.
-    task: id of a gymnasium task with `info["cost"]`, or several, whose observations, actions and
-        presets are equal; "module:Id" imports the module first. task_parameters: keyword arguments
-        for each.
+    task: id of a gymnasium task with `info["cost"]`, or several tasks with equal observations,
+        actions and presets; "module:Id" imports the module first. task_parameters: keyword
+        arguments for each task.
     seeds: one run for each; a number is one seed. steps: environment steps of each run; None: as
         many as the zoo's runs had, or 1 000 000.
-    out: folder for the runs; made, and refused where it holds runs already. None: a temporary one,
-        which lives as long as the returned object.
+    out: folder for the runs; created, and refused if it already holds runs. None: a temporary
+        folder, which exists as long as the returned object.
     costs: names of costs in the task's info: all are recorded and evaluated; an algorithm limits
-        the first, or as many as its rule says.
+        the first one, or as many as it supports.
     checkpoint_every: environment steps of a run between checkpoints. evaluate_every: environment
-        steps of a run between evaluations, of which `Runs.to_pandas("evaluations")` has the
-        numbers; each also saves the policy, for `load_policy(..., step=...)`. None: evaluate only
-        at the end. evaluation_episodes: of each policy, without its noise and with it, at the end.
+        steps of a run between evaluations, whose results are in `Runs.to_pandas("evaluations")`;
+        each also saves the policy, for `load_policy(..., step=...)`. None: evaluate only at the
+        end. evaluation_episodes: of each policy, deterministic and stochastic, at the end.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
-        step_timeout: seconds that a step may take with "async"; None: no limit.
+    step_timeout: seconds that a step may take with "async"; None: no limit.
     backend: how networks are computed: "c++", for which a compiler is needed once, or "numpy", half
-        as fast, which also stands in with a warning where there is none.
-    tensorboard: whether to write event files too. progress: whether to show it on stderr.
+        as fast, which is also used, with a warning, if there is no compiler.
+    tensorboard: whether to write event files too. progress: whether to show progress on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
-        checkpoint, without the evaluation at its end. `resume` goes on.
+        checkpoint, without the final evaluation. `resume` continues it.
     engine: "local": in this process; "ray": as a task of a Ray cluster, which supports neither
-        on_epoch nor progress. address: of the cluster, "HOST:PORT" or "auto"; None: RAY_ADDRESS,
-        or else a new cluster on this machine.
+        on_epoch nor progress. address: of the cluster, "HOST:PORT" or "auto"; None: RAY_ADDRESS
+        if set, else a new cluster on this machine.
 
-    Warns of each run that failed. Raises UserError for an unknown or invalid argument, before
-    anything is written, and where every run failed; an error of the task's or the algorithm's own
-    code is its cause.
+    Warns about each run that failed. Raises UserError for an unknown or invalid argument, before
+    anything is written, and if every run failed; the `__cause__` is then the error of the task's or
+    the algorithm's own code.
     """
     if algorithm == "zoo":
         algorithm, preset, usual = of_zoo(task, preset)
@@ -142,7 +142,7 @@ def train_config(
     place = None if out is None else _to_write(out)
     callbacks.check_callback(on_epoch)
     if engine != "local" and (on_epoch or progress):
-        raise UserError("on_epoch and progress are of the engine local")
+        raise UserError("on_epoch and progress need the engine local")
     folder = Path(tempfile.mkdtemp(prefix="agents-")) if place is None else place
     try:
         if engine == "local" and address is None:
@@ -157,7 +157,7 @@ def train_config(
             shutil.rmtree(folder, ignore_errors=True)
         raise
     runs = Runs([folder], out is None, [config])
-    _warn_of_failures(runs, 5)  # two further, behind train and its decorator
+    _warn_of_failures(runs, 5)  # two frames more, for train and its decorator
     return runs
 
 
@@ -174,17 +174,17 @@ def sweep(
     address: str | None = None,
     **settings: Any,
 ) -> Runs:
-    """Train an algorithm with every combination of some hyper-parameters.
+    """Train an algorithm with every combination of hyper-parameters.
 
-    grid: values of each hyper-parameter by its name: {"cost_limit": (1.0, 5.0), ...}. Each
-        combination has a folder below `out`, named by its values; where there are more workers than
-        these, its runs are in parts below it. Given again, the same call goes on where it was
-        interrupted. workers: processes, or tasks of Ray, at a time; by default as
-        many as there are cores. settings: the other arguments of `train` but on_epoch and
-        progress, hyper-parameters among them.
+    grid: values of each hyper-parameter by name: {"cost_limit": (1.0, 5.0), ...}. Each combination
+        has a folder below `out`, named after its values; if there are more workers than
+        combinations, its runs are split over several folders below it. Given again, the same call
+        continues where it was interrupted. workers: number of processes, or tasks of Ray, at the
+        same time; by default one per core. settings: other arguments of `train`, including
+        hyper-parameters, but not on_epoch or progress.
 
-    Raises UserError for what is unknown or not allowed, before anything is written, and where a
-    training fails; the others are done by then.
+    Raises UserError for an unknown or invalid argument, before anything is written, and if a
+    training failed, after the others are done.
     """
     combinations, folder = combinations_of(grid), _to_write(out)
     for name in ("on_epoch", "progress"):
@@ -193,7 +193,7 @@ def sweep(
     given = settings_of(settings)
     settings = {name: value for name, value in settings.items() if name not in given}
     for name in (*settings_of(grid), *({"task"} & grid.keys())):
-        raise UserError(f"grid takes hyper-parameters; {name} is equal in all trainings of a sweep")
+        raise UserError(f"grid takes hyper-parameters; {name} is the same for a whole sweep")
     for name in grid.keys() & settings.keys():
         raise UserError(f"{name} is given twice: in the grid, and as {settings[name]!r}")
     chosen = [settings | values for values in combinations.values()]
@@ -218,14 +218,15 @@ def grid(
 ) -> Runs:
     """Train several algorithms on several tasks, each with its preset: `circle2d grid`.
 
-    Each pair has the folder `out/TASK/ALGORITHM`; where there are more workers than these, its runs
-    are in parts below it. Given again, the same call goes on where it was interrupted.
-    settings: the other arguments of `train` but on_epoch and progress; hyper-parameters among them
-    are those of every algorithm. workers: processes, or tasks of Ray, at a time; by default as many
-    as there are cores.
+    Each pair has the folder `out/TASK/ALGORITHM`; if there are more workers than pairs, its runs
+    are split over several folders below it. Given again, the same call continues where it was
+    interrupted.
+    settings: other arguments of `train`, but not on_epoch or progress; hyper-parameters among them
+    apply to every algorithm. workers: number of processes, or tasks of Ray, at the same time; by
+    default one per core.
 
-    Raises UserError for what is unknown or not allowed, before anything is written, and where a
-    training fails; the others are done by then.
+    Raises UserError for an unknown or invalid argument, before anything is written, and if a
+    training failed, after the others are done.
     """
     by_folder = grid_configs(algorithms, tasks, _to_write(out), preset, backend, settings)
     runs = Runs(_launch(by_folder, engine, workers, address, split=True))
@@ -241,13 +242,13 @@ def grid_configs(
     backend: Backend,
     settings: Mapping[str, Any],
 ) -> dict[Path, TrainConfig]:
-    """The configurations of `grid` by their folders."""
+    """Return the configurations of `grid` by folder."""
     for name in settings.keys() & {"on_epoch", "progress"}:
         raise UserError(f"grid takes no {name}: it trains in other processes")
     names = [algorithms] if isinstance(algorithms, str) else [*algorithms]
     several = [tasks] if isinstance(tasks, str) else [*tasks]
     if not names or not several:
-        raise UserError("grid needs an algorithm and a task at least")
+        raise UserError("grid needs at least one algorithm and one task")
     given = settings_of(settings)
     own = {name: value for name, value in settings.items() if name not in given}
     return {
@@ -265,13 +266,13 @@ def resume(
     on_epoch: OnEpoch | None = None,
     progress: bool = False,
 ) -> Runs:
-    """Go on with the runs of folders, from their newest checkpoints, as if never interrupted.
+    """Continue the runs of folders from their newest checkpoints, as if never interrupted.
 
-    Folders train one after the other; one that is done but lacks `results.npz` gets it, and one
-    that has it stays as it is. steps: a new, greater number of environment steps of each run: a
-    training that is done goes on too, bit for bit as if it had had that number, and that backend,
-    from the start. on_epoch, progress: as in `train`. Raises UserError where a folder holds no
-    runs, another process trains there, every run failed, or runs have more steps already.
+    Folders train one after the other; a finished folder without `results.npz` gets the file, and
+    one with it stays unchanged. steps: a new, greater number of environment steps for each run:
+    finished trainings continue too, bit for bit as if they had had that number, and that backend,
+    from the start. on_epoch, progress: as in `train`. Raises UserError if a folder holds no runs,
+    another process trains there, every run failed, or runs already have more steps.
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
@@ -301,17 +302,22 @@ def report(
     columns: Sequence[str] | None = None,
     window: int | None = None,
 ) -> str:
-    """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
+    """Write the report of all runs at or below folders, or in archives: `circle2d report`.
 
-    paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
-    `train` returns. Folders that differ in their seeds alone count as one. Returns the main
-    tables and the study's claims as Markdown. study: adds printed numbers, tables, figures and
-    claims of its own, by default that of `use_study`. archive: a file to write, from which the
-    report can be made again. out: folder to write to, required with several paths; by default the
-    runs' own, for `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md`
-    names them; by default those that fit the width of a text. window: EMCC over windows of so many
-    episodes in place of rollouts, see `emcc.EpisodeRecords.windows`. Raises UserError where there
-    are no complete runs, or an archive is damaged.
+    Returns the main tables and the study's claims as Markdown. Folders that differ only in their
+    seeds count as one.
+
+    paths: folders, archives, folders in archives (`runs.zip/Circle2D-1-v0`), or `Runs`, as returned
+        by `train`.
+    study: adds its own printed numbers, tables, figures and claims; by default that of `use_study`.
+    archive: a file to write, from which the report can be made again. out: folder to write to,
+        required with several paths; by default the runs' own, for `runs.zip` the folder `runs` next
+        to it.
+    columns: of `report.tex`, named as in `report.md`; by default those that fit the width of a
+        text. window: episodes per window for EMCC, instead of rollouts: see
+        `emcc.EpisodeRecords.windows`.
+
+    Raises UserError if there are no complete runs, or an archive is damaged.
     """
     from agents.reporting.report import report as write_report
     from agents.reporting.table import LATEX_COLUMNS, markdown
@@ -336,13 +342,16 @@ def compare(
     out: Folder | None = None,
     measures: str | Sequence[str] | None = None,
 ) -> str:
-    """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
+    """Return the tables of two sets of runs and their differences B - A as Markdown: `circle2d
+    compare`.
 
-    a, b: a folder, an archive, or runs of one folder: a baseline's and an idea's. With out, writes
-    `compare.md`, `compare.tex`, `compare.csv`, and `compare.html` with the training curves of both,
-    to that folder. measures: names of those that are tested, such as "J_R", by default all: p
-    values are corrected for the number of tests. Raises UserError where a side has no complete run,
-    or the two have no task in common.
+    a, b: a folder, an archive, or `Runs` of one folder, for example a baseline's and your own.
+    out: folder for `compare.md`, `compare.tex`, `compare.csv`, and `compare.html` with the training
+        curves of both; None: nothing is written.
+    measures: names of the measures to test, such as "J_R", by default all: p values are corrected
+        for the number of tests.
+
+    Raises UserError if a side has no complete run, or the two have no task in common.
     """
     from agents.reporting.compare import compare as compare_runs
     from agents.reporting.table import markdown
@@ -360,16 +369,16 @@ def plot(
     colours: Mapping[str, str] | None = None,
     width: float = 5.5,
 ) -> str:
-    """Draw learning curves of runs for a paper: `circle2d plot`. Returns words for the caption.
+    """Draw learning curves of runs for a paper: `circle2d plot`. Returns a caption.
 
     paths: folders of runs, folders above such folders, or archives. out: file to write, .pdf, .svg,
         .png, or .pgf, for which xelatex must be installed.
     measures: "return", "cost", "emcc" and "length", a column of panels each; each task has a row.
-    names, colours: of the legend's entries to change, by the name that they have otherwise, such as
-        {"TRPO-Lag": "baseline"}; colours are matplotlib's.
-    width: inches. The type is 8 points high at any width, so give that at which it is printed.
+    names, colours: new names and matplotlib colours of legend entries, by the entries' default
+        names, such as {"TRPO-Lag": "baseline"}.
+    width: inches. Text is 8 points high at any width, so give the width in print.
 
-    Raises UserError where no run is complete, and for a name that no curve has.
+    Raises UserError if no run is complete, and for a name that no curve has.
     """
     from agents.reporting.plot import plot as draw
 
@@ -377,23 +386,23 @@ def plot(
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of some arguments that are settings of any training: fields of a configuration, but for
-    what `configs_of` is given apart."""
+    """Return those arguments that are settings of any training: fields of a configuration, without
+    those that `configs_of` takes as arguments of its own."""
     names = {field.name for field in dataclasses.fields(TrainConfig)}
     apart = {"algorithm", "tasks", "hyperparameters", "backend"}
     return {name: value for name, value in values.items() if name in names - apart}
 
 
 def of_zoo(task: str | Iterable[str], preset: PresetName) -> tuple[str, PresetName, int]:
-    """The zoo's algorithm for a task, its preset, and its number of steps. Raises UserError for a
-    task that it does not have, for tasks trained in different ways, and for another preset."""
+    """Return the zoo's algorithm for a task, its preset, and its number of steps. Raises UserError
+    for a task without a recipe, for tasks with different recipes, and for the preset "none"."""
     if preset == "none":
-        raise UserError("zoo has a preset of its own: name the algorithm to train without one")
+        raise UserError("zoo has its own preset: to train without one, name the algorithm")
     tasks = [task] if isinstance(task, str) else list(task)
     several = [recipe(task_id(name)) for name in tasks]
     for name, other in zip(tasks, several, strict=True):
         if other[:2] != several[0][:2]:
-            raise UserError(f"the zoo trains {tasks[0]} and {name} in other ways: train them apart")
+            raise UserError(f"the zoo trains {tasks[0]} and {name} differently: train them apart")
     return several[0].algorithm, "zoo", several[0].steps
 
 
@@ -405,13 +414,15 @@ def configs_of(
     backend: Backend,
     given: Mapping[str, Any],
 ) -> list[TrainConfig]:
-    """A configuration for each choice of hyper-parameters: values that replace the preset's, or all
-    of them, an object of the algorithm's config. given: as of `settings_of`. Raises UserError for
-    what is not allowed, or not possible on this machine."""
+    """Return a configuration for each choice of hyper-parameters.
+
+    hyperparameters: each a mapping of values that replace the preset's, or an object of the
+    algorithm's config class. given: settings, from `settings_of`. Raises UserError for invalid
+    settings, and for those that this machine does not support."""
     several = [task] if isinstance(task, str) or not isinstance(task, Iterable) else [*task]
     tasks = tuple(map(task_id, several))
     if not tasks:
-        raise UserError("task must be the id of a gymnasium task, or several, got none")
+        raise UserError("task must be the id of a gymnasium task, or several ids, got none")
     settings = dict(given)
     if settings.get("steps") is None:
         settings["steps"] = TrainConfig.steps
@@ -445,7 +456,7 @@ def configs_of(
 
 
 def _hyperparameters(algorithm: str, tasks: Sequence[str], own: Any, preset: PresetName) -> Any:
-    """Hyper-parameters of `configs_of`. Raises UserError where presets of tasks differ."""
+    """Return the hyper-parameters for all tasks. Raises UserError if the tasks' presets differ."""
     if not isinstance(own, Mapping):
         return own
     presets = {name: preset_with(algorithm, name, own, preset) for name in tasks}
@@ -453,7 +464,7 @@ def _hyperparameters(algorithm: str, tasks: Sequence[str], own: Any, preset: Pre
     for name, other in presets.items():
         if other != chosen:
             raise UserError(
-                f"{first} and {name} have other presets for {algorithm}, {chosen} and {other}: "
+                f"{first} and {name} have different presets for {algorithm}, {chosen} and {other}: "
                 "train them in folders of their own, or give the hyper-parameters in which they "
                 "differ"
             )
@@ -461,10 +472,10 @@ def _hyperparameters(algorithm: str, tasks: Sequence[str], own: Any, preset: Pre
 
 
 def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
-    """Every combination, by a name for its folder, such as "cost_limit=5.0,hidden=64x64"; of a name
-    too long for a folder its beginning and a digest.
+    """Return every combination by its folder's name, such as "cost_limit=5.0,hidden=64x64"; a name
+    too long for a folder is cut, with a digest at the end.
 
-    Raises UserError for an empty grid, values that are none, and equal names.
+    Raises UserError for an empty grid, for values that are not collections, and for equal names.
     """
     if not isinstance(values, Mapping):
         raise UserError(f"grid must be values by the names of hyper-parameters, got {values!r}")
@@ -472,7 +483,7 @@ def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
         if isinstance(several, str) or not isinstance(several, Collection) or not len(several):
             raise UserError(f"grid needs several values of {name}, got {several!r}")
     if not values:
-        raise UserError("grid is empty: it needs values of a hyper-parameter at least")
+        raise UserError("grid is empty: it needs values of at least one hyper-parameter")
     combinations: dict[str, dict[str, Any]] = {}
     for chosen in itertools.product(*values.values()):
         combination = dict(zip(values, chosen, strict=True))
@@ -484,11 +495,11 @@ def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
 
 
 LONGEST_NAME = 200
-"""Bytes of a folder's name; file systems take 255, and a file that is being written has more."""
+"""Most bytes of a folder's name; file systems allow 255, and unfinished files have longer names."""
 
 
 def _short(name: str) -> str:
-    """A name of at most `LONGEST_NAME` bytes; different ones stay different."""
+    """Shorten a name to at most `LONGEST_NAME` bytes; different names stay different."""
     if len(name.encode()) <= LONGEST_NAME:
         return name
     digest = hashlib.blake2b(name.encode(), digest_size=8).hexdigest()
@@ -507,10 +518,10 @@ def _launch(
     address: str | None,
     split: bool,
 ) -> list[Path]:
-    """Train folders to their end; what is done stays. Returns the folders of the runs.
+    """Train all unfinished folders to the end. Returns the folders of the runs.
 
-    split: whether trainings may be cut into parts. Raises UserError where one holds other runs, and
-    where the training of a folder fails; the others are done by then.
+    split: whether trainings may be split over several folders. Raises UserError if a folder holds
+    other runs, and if the training of a folder failed, after the others are done.
     """
     from agents.training import grid as grids
     from agents.training.launcher import launcher
@@ -531,8 +542,8 @@ def _launch(
 
 
 def modules_of(configs: Collection[TrainConfig]) -> list[str]:
-    """Modules that other processes import in order to know algorithms and tasks. Raises UserError
-    for one that the running script registers, which they cannot import."""
+    """Return the modules that other processes must import to register algorithms and tasks. Raises
+    UserError for an algorithm or task registered in the running script: they cannot import it."""
     modules = {}
     for config in configs:
         if config.algorithm not in BUILT_IN:
@@ -544,14 +555,14 @@ def modules_of(configs: Collection[TrainConfig]) -> list[str]:
         name, how = modules["__main__"]
         raise UserError(
             f"{name} is registered in the running script, which the processes that train cannot "
-            f"import: call {how} in a module of its own and import that"
+            f"import: call {how} in a separate module and import that"
         )
     return sorted(modules)
 
 
 def _to_write(out: Folder) -> Path:
-    """The folder to write to, absolute: a task may change the current one. Raises UserError for
-    what is none."""
+    """Return the folder to write to as an absolute path, since a task may change the current one.
+    Raises UserError for anything that cannot be a folder."""
     if not isinstance(out, (str, os.PathLike)) or not os.fspath(out):
         raise UserError(f"out must be a folder, got {out!r}")
     check_folder(Path(out))
@@ -559,7 +570,7 @@ def _to_write(out: Folder) -> Path:
 
 
 def _warn_of_failures(runs: Runs, stacklevel: int = 3) -> None:
-    """Warn of each run that failed, with the traceback of the task's error."""
+    """Warn about each failed run, with the traceback of the task's error."""
     for folder, config in zip(runs.folders, runs.configs, strict=True):
         if not finished(folder):  # stopped by on_epoch
             continue
@@ -571,7 +582,7 @@ def _warn_of_failures(runs: Runs, stacklevel: int = 3) -> None:
 def _train(
     folder: Path, config: TrainConfig, on_epoch: OnEpoch | None, progress: bool
 ) -> trainer.Trainer:
-    """Train a folder. Raises RunsFailed where every run failed."""
+    """Train a folder. Raises RunsFailed if every run failed."""
     with contextlib.ExitStack() as stack:
         own: list[trainer.Callback] = []
         if progress:

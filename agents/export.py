@@ -1,4 +1,4 @@
-"""Trained policies as files that other programs read, with a model card."""
+"""Trained policies as files for other programs, with a model card."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from agents.training.policy import Policy, load_policy
 
 Format = Literal["safetensors", "onnx"]
 KINDS = {"Tanh": "np.tanh({0})", "ReLU": "np.maximum({0}, 0)", "SiLU": "{0} / (1 + np.exp(-{0}))"}
-"""Functions between the layers, modules of torch.nn, in numpy."""
+"""Activation functions, modules of torch.nn, and their NumPy code."""
 OPSET, IR_VERSION = 17, 8
-"""Versions of ONNX files, of 2022, so that older runtimes read them too."""
+"""ONNX versions from 2022, so that older runtimes can read the files."""
 
 
 class Exported(NamedTuple):
-    """A policy's network: linear layers with functions between them, then the actions' bounds."""
+    """A policy's network: linear layers with activations, and the bounds of actions."""
 
     arrays: Mapping[str, NDArray[np.float32]]
     """By name: "net.0.weight" [out, in], "net.0.bias" [out], ..., "low" and "high" [action]."""
     layers: Sequence[tuple[str, str]]
-    """Name of each linear layer, such as "net.0", and the function behind it, one of `KINDS`."""
+    """Name of each linear layer, such as "net.0", and its activation, one of `KINDS` or ""."""
     normalized: str = ""
-    """Name of the module before the layers that normalises observations, if there is one; its
-    numbers are "NAME.mean" and "NAME.scale", both [observation]."""
+    """Name of the module before the layers that normalises observations, if any; its arrays are
+    "NAME.mean" and "NAME.scale", both [observation]."""
 
 
 def export(
@@ -50,13 +50,13 @@ def export(
     step: int | None = None,
     task: str | None = None,
 ) -> list[Path]:
-    """Write the deterministic policies of a folder of runs, a file each, and a model card.
+    """Write the deterministic policies of a folder of runs, one file each, and a model card.
 
-    The actions of a file equal the policy's up to rounding in float32. out: folder to write to,
-    by default `exported` in the runs' own, there one for each of several tasks. seeds: of the runs,
-    by default all. step, task: as in `load_policy`. Returns the files, the card last. Raises
-    UserError where there is no policy, or one that diverged, and where the library of the format is
-    missing.
+    The actions of an exported policy equal the original's up to rounding in float32. out: folder to
+    write to, by default `exported` in the runs' folder, with a subfolder for each of several tasks.
+    seeds: of the runs, by default all. step, task: as in `load_policy`. Returns the files, the card
+    last. Raises UserError if there is no policy, if a policy diverged, and if the library for the
+    format is missing.
     """
     if format not in _FORMATS:
         raise UserError(f"format must be safetensors or onnx, got {format!r}")
@@ -86,8 +86,8 @@ def export(
 
 
 def _network(policy: Policy, seed: int) -> Exported:
-    """The network of a policy. Raises UserError for other layers, for a policy that is more than
-    these in a row, and for numbers that are not finite."""
+    """Return the network of a policy. Raises UserError for unsupported layers, for a policy that is
+    not just its layers in sequence, and for weights that are not finite."""
     module = policy.to_torch()
     arrays = {name: value.numpy() for name, value in module.state_dict().items()}
     if not all(np.isfinite(array).all() for array in arrays.values()):
@@ -104,7 +104,7 @@ def _network(policy: Policy, seed: int) -> Exported:
             layers[-1] = layers[-1][0], type(part).__name__
         else:
             known = ", ".join(["Linear with bias", *KINDS])
-            raise UserError(f"export knows {known} of torch.nn, and the policy has {part}")
+            raise UserError(f"export supports {known} of torch.nn, but the policy has {part}")
     in_a_row = nn.Sequential(*(part for _, part in parts))
     policy.check_same(policy.bounded(in_a_row), "its module's layers in a row, as export writes it")
     return Exported(arrays, layers, normalized)
@@ -112,13 +112,14 @@ def _network(policy: Policy, seed: int) -> Exported:
 
 def _write_safetensors(network: Exported, about: Mapping[str, str]) -> bytes:
     arrays = {name: np.ascontiguousarray(array) for name, array in network.arrays.items()}
-    # One entry: the library writes several in any order, and equal policies give equal files.
+    # A single entry: the library writes several in any order, and equal policies must give equal
+    # files.
     metadata = {"about": json.dumps(about)}
     return extra("safetensors.numpy", "export").save(arrays, metadata=metadata)
 
 
 def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
-    """A graph from "observation" [N, size] to "action" [N, size]."""
+    """Return an ONNX graph from "observation" [N, size] to "action" [N, size]."""
     onnx = extra("onnx", "export")
     helper, arrays = onnx.helper, dict(network.arrays)
     arrays |= {"range": arrays["high"] - arrays["low"]}
@@ -145,7 +146,7 @@ def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
     last = add("Clip", last, "-1", "1", output="clipped")
     last = add("Div", add("Add", last, "1", output="above"), "2", output="share")
     last = add("Add", "low", add("Mul", "range", last, output="scaled"), output="rounded")
-    # By rounding beyond the bounds, which Clip takes as numbers alone.
+    # Rounding may exceed the bounds. They are arrays, which ONNX's Clip does not support.
     add("Min", add("Max", last, "low", output="raised"), "high", output="action")
     sizes = {
         "observation": arrays[f"{network.layers[0][0]}.weight"].shape[1],
@@ -166,13 +167,13 @@ def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
 
 
 def _steps(policies: Iterable[Policy], format: str = "d") -> str:
-    """Environment steps of the policies' runs, or that they are not known."""
+    """Return the environment steps of the policies' runs, or "not recorded"."""
     taken = {policy.step for policy in policies if policy.step is not None}
     return " or ".join(f"{step:{format}}" for step in sorted(taken)) or "not recorded"
 
 
 def _commit(recorded: Mapping[str, Any]) -> str:
-    """Commit of the code that began the training, or why it is not known."""
+    """Return the commit of the code that began the training, or that it is not recorded."""
     version = (recorded.get("versions") or {}).get("circle2d-mj", "unknown")
     return recorded.get("commit") or f"not recorded (version {version})"
 
@@ -184,11 +185,13 @@ def _card(
     policies: Mapping[int, Policy],
     code: str,
 ) -> str:
-    """The model card. recorded: `config.json`; policies: by seed; code: that reads a file."""
+    """Return the model card.
+
+    recorded: content of `config.json`; policies: by seed; code: Python code that reads a file."""
     task, name = next(iter(policies.values())).task, title(config.algorithm)
     spaces, versions = read_spaces(folder), recorded.get("versions") or {}
-    wraps = hasattr(config.hyperparameters, "wrap")  # as a limit of the longest streak, Sauté
-    added = ", behind it what `agents.load_policy(...).wrap(env)` adds, if anything" * wraps
+    wraps = hasattr(config.hyperparameters, "wrap")  # for a limit of the longest streak, or Sauté
+    added = ", followed by what `agents.load_policy(...).wrap(env)` adds, if anything" * wraps
     bounds = ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(spaces.low, spaces.high, strict=True))
     parameters = f" with {config.task_parameters}" if config.task_parameters else ""
     facts = {
@@ -199,7 +202,7 @@ def _card(
         "commit": _commit(recorded),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "trained by": f"`{command(config, 'runs', recorded)}`",
-        "observation": f"float32 [N, {spaces.observation_size}], as the task gives it{added}",
+        "observation": f"float32 [N, {spaces.observation_size}], as the task returns it{added}",
         "action": f"float32 [N, {len(spaces.low)}], in {bounds}; without noise",
     }
     rows = "\n".join(f"| {name} | {text} |" for name, text in facts.items() if text)
@@ -227,7 +230,7 @@ pipeline_tag: reinforcement-learning
 
 
 def _layers(network: Exported) -> Iterator[str]:
-    """Lines of code for the layers of a network, in numpy."""
+    """Yield lines of NumPy code for the layers of a network."""
     if name := network.normalized:
         seen = f'(x - net["{name}.mean"]) * net["{name}.scale"]'
         yield f"    x = np.clip({seen}, {-CLIP:g}, {CLIP:g})"
@@ -238,7 +241,7 @@ def _layers(network: Exported) -> Iterator[str]:
 
 
 def _results(folder: Path) -> str:
-    """The table of the folder's runs, or why there is none."""
+    """Return the table of the folder's runs, or why there is none."""
     notes: list[str] = []
     try:
         groups = read_groups([folder], notes)
@@ -277,4 +280,4 @@ def policy(observation):
     return session.run(None, inputs)[0]
 """,
 }
-"""Code that reads a file and gives `policy(observation)`, a function of [N, size]."""
+"""Code that reads a file and defines `policy(observation)` for observations [N, size]."""

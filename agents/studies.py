@@ -1,4 +1,4 @@
-"""The study that tables and reports show: the paper's, until another takes its place."""
+"""The study that tables and reports show: the paper's, unless `use_study` replaces it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ _used: Study | None = None
 
 
 def use_study(study: Study) -> None:
-    """Let a study take the paper's place in all tables and reports; `Study()` shows none.
+    """Show a study instead of the paper's in all tables and reports; `Study()` shows none.
 
-    A module that calls it may be named by `--import`. Raises UserError for anything but a `Study`.
+    On the command line, `--import` a module that calls this function. Raises UserError for anything
+    but a `Study`.
     """
     if not isinstance(study, Study):
         raise UserError(f"use_study takes a Study, as in use_study(MyStudy()), got {study!r}")
@@ -20,7 +21,7 @@ def use_study(study: Study) -> None:
 
 
 def used_study() -> Study:
-    """The study that `use_study` was given last, by default the paper's."""
+    """Return the study of the last call of `use_study`, by default the paper's."""
     if _used is None:
         from agents.paper.sections import STUDY
 

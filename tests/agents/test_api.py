@@ -321,7 +321,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"task": []}, "task must be the id of a gymnasium task"),
         ({"costs": ("cost", "nothing")}, r"gives no info\['nothing'\]"),
         ({"engine": "cloud"}, "engine must be local or ray, got 'cloud'"),
-        ({"engine": "ray", "on_epoch": print}, "on_epoch and progress are of the engine local"),
+        ({"engine": "ray", "on_epoch": print}, "on_epoch and progress need the engine local"),
         ({"address": "10.0.0.1:1"}, "address is of a Ray cluster"),
     ],
 )

@@ -71,7 +71,7 @@ def test_what_an_algorithm_adds_to_observations_is_an_input(tmp_path, monkeypatc
     card = export(runs.folder, format, tmp_path)[-1].read_text()
     (row,) = [line for line in card.splitlines() if line.startswith("| observation |")]
     assert "[N, 4]" in row
-    assert "behind it what `agents.load_policy(...).wrap(env)` adds" in row
+    assert "followed by what `agents.load_policy(...).wrap(env)` adds" in row
     ours = agents.load_policy(runs.folder)
     env, policy = ours.wrap(gym.make("Walk-v0")), loaded(card, monkeypatch, tmp_path)
     observation, over, streak, longest = env.reset(seed=0)[0], False, 0, 0

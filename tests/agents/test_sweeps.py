@@ -47,7 +47,7 @@ BAD = {
     "twice": ({"cost_limit": (1.0, 1.0)}, "grid has cost_limit=1.0 twice"),
     "nothing": ({}, "grid is empty"),
     "no names": ([1.0, 2.0], r"grid must be values by the names .*, got \[1.0, 2.0\]"),
-    "setting": ({"steps": (100, 200)}, "hyper-parameters; steps is equal in all trainings"),
+    "setting": ({"steps": (100, 200)}, "hyper-parameters; steps is the same for a whole sweep"),
     "unknown": ({"cost_limits": (1.0, 2.0)}, r"did you mean 'cost_limit'\?"),
 }
 

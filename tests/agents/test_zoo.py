@@ -60,7 +60,7 @@ def test_mistakes(capsys, tmp_path):
             "the zoo has no agent for SafetyCarPush2-v0: ",
         ),
         (["train", "zoo", "--task", "SafetyPointGoal9-v0", *out], "SafetyPointGoal9"),
-        (["train", "zoo", "--task", GOAL, "--preset", "none", *out], "a preset of its own"),
+        (["train", "zoo", "--task", GOAL, "--preset", "none", *out], "zoo has its own preset"),
         (
             ["train", "trpo-lag", "--task", GOAL, "--preset", "zoo", *out],
             f"the zoo's settings for {GOAL} are of trpo-pid, not of trpo-lag: choose the preset",

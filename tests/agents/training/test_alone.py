@@ -111,7 +111,7 @@ def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
         with pytest.raises(UserError, match="equal observations and actions"):
             trained(tmp_path / "x", "cpo", ("Walk-v0", "Four-v0"), 0)
         assert not (tmp_path / "x").exists()
-        with pytest.raises(UserError, match=r"other presets for .*cost_limit"):
+        with pytest.raises(UserError, match=r"different presets for .*cost_limit"):
             agents.train("sac-lb", ("Walk-v0", "Circle2D-1-v0"), out=tmp_path / "x")
         with known():
             trained(tmp_path / "y", "toy", ("Walk-v0", "Wide-v0"), 0)
