@@ -1,4 +1,4 @@
-"""How long EMCC of 1e8 cost steps takes, beside a plain itertools.groupby loop.
+"""Time to compute EMCC of 1e8 steps, compared with a plain itertools.groupby loop.
 
     python benchmarks/emcc_speed.py
 
@@ -15,11 +15,11 @@ import numpy as np
 from emcc import EpisodeRecords, emcc_by_part, longest_streaks
 
 EPISODES, LENGTH, PER_ROLLOUT = 2_000_000, 50, 10
-SLICE = 20_000  # episodes of the plain loop
+SLICE = 20_000  # episodes for the plain loop
 
 
 def random_costs(rng: np.random.Generator) -> np.ndarray:
-    """Cost steps in streaks of 5 on average, on a quarter of all steps; in blocks, for memory."""
+    """Draw cost steps, a quarter of all steps, in streaks of 5 on average; in blocks for memory."""
     costs = np.empty(EPISODES * LENGTH, dtype=bool)
     for block in np.array_split(costs, 100):
         ends = np.flatnonzero(rng.random(block.size) < 0.1)  # a streak or a gap ends

@@ -1,10 +1,10 @@
-"""The quick grid by both engines of training, in turns, and what a task of Ray costs by itself.
+"""The quick grid with both engines of training, in turns, and the overhead of a Ray task.
 
-Every grid is a command of its own, so that its time holds all that a user waits for: imports, the
-start of Ray's own cluster on this machine, trainings, report. Both use as many processes at a time.
-The reports' numbers must be the same, byte for byte. A ratio is of neighbours; ratios and times are
-medians over turns. Of the tasks, what `docs/ray.md` tells is measured: a message is as big as a
-checkpoint, sent and written as the launcher does.
+Every grid is a separate command, so that its time includes all that a user waits for: imports, the
+start of a Ray cluster on this machine, trainings, report. Both engines use equally many processes.
+The reports' numbers must be the same, byte for byte. Ratios are of neighbouring measurements;
+ratios and times are medians over turns. The measurements of tasks are those in `docs/ray.md`: a
+message is as large as a checkpoint, sent and written as by the launcher.
 
 python benchmarks/engines.py --turns 2 -- --levels 1 --steps 3000
 """
@@ -21,11 +21,11 @@ from pathlib import Path
 ENGINES = ("local", "ray")
 TASKS = 10
 NAME, MEGABYTES = "checkpoints/000050000.npz", 50
-"""Of a message: about what ten runs of a long off-policy training come to at a checkpoint."""
+"""Size of a message: about that of a checkpoint of ten runs of a long off-policy training."""
 
 
 def grid(engine, out, options):
-    """Seconds of the command."""
+    """Run the command; return the seconds it took."""
     command = [sys.executable, "-m", "agents.cli", "reproduce", "--quick", "--out", str(out)]
     started = time.perf_counter()
     subprocess.run(
@@ -38,11 +38,11 @@ def grid(engine, out, options):
 
 
 def grids(turns, options):
-    """Seconds of each turn, by engine."""
+    """Return the seconds of each turn, by engine."""
     found = {engine: [] for engine in ENGINES}
     for turn in range(turns):
         with tempfile.TemporaryDirectory() as root:
-            # In turns the one or the other goes first.
+            # Engines take turns in going first.
             for engine in ENGINES if turn % 2 == 0 else reversed(ENGINES):
                 found[engine].append(grid(engine, Path(root) / engine / "grid", options))
                 print(f"turn {turn + 1}: {engine}: {found[engine][-1]:.1f} s", file=sys.stderr)
@@ -52,12 +52,12 @@ def grids(turns, options):
 
 
 def messages(content):
-    """A task that does nothing but send one message."""
+    """Task that only sends one message."""
     yield {NAME: content}, [NAME], 0
 
 
 def tasks():
-    """Seconds, by what they are of."""
+    """Measure Ray tasks; return seconds by what was measured."""
     import ray
 
     from agents.training.launcher import launcher, take_in
@@ -89,7 +89,7 @@ def tasks():
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=3, help="0: the tasks only")
-    parser.add_argument("options", nargs="*", help="behind --: of circle2d reproduce")
+    parser.add_argument("options", nargs="*", help="after --: options of circle2d reproduce")
     args = parser.parse_args()
     if args.turns:
         found = grids(args.turns, args.options)

@@ -1,4 +1,4 @@
-"""Steps a second of Circle2D beside gymnasium's own native vector CartPole, in turns, one core.
+"""Steps per second of Circle2D and of gymnasium's native vector CartPole, in turns, on one core.
 
 python benchmarks/environment_speed.py
 """
@@ -48,7 +48,7 @@ def single(task):
 
 
 def main():
-    """Resets are included: CartPole's episodes end after about 20 steps, ours after 50."""
+    """Print the table. Resets are included: CartPole's episodes last about 20 steps, ours 50."""
     runs = {
         f"CartPole-v1, vector of {SIZE}": vector("CartPole-v1"),
         f"Circle2D-1-v0, vector of {SIZE}": vector("Circle2D-1-v0"),

@@ -5,9 +5,9 @@
     python benchmarks/identification.py rank
 
 `screen` trains the settings that the rule proposes, one after the other, and writes their runs to
-results/identification/screening.csv; `full` trains the nearest at full length (full.csv). Both go
-on where they were interrupted, also in another session: the files hold what is done, FOLDER the
-setting at hand. Runs that two settings have in common are trained once. `rank` writes
+results/identification/screening.csv; `full` trains the nearest settings at full length (full.csv).
+Both continue where they were interrupted, also in another session: the files hold what is done,
+FOLDER the current setting. Runs that two settings share are trained once. `rank` writes
 results/identification/ranking.md.
 """
 
@@ -32,18 +32,18 @@ from circle2d_mj.registration import KINEMATIC
 RESULTS = Path(__file__).parents[1] / "results" / "identification"
 TASKS = tuple(KINEMATIC.values())
 CUT_OUT = TASKS[2:]
-"""Those that have cut-outs; the depth changes nothing on the others."""
+"""Tasks with cut-outs; the depth changes nothing on the others."""
 SCREENING = {"steps": 300_000, "seeds": (300, 301, 302)}
 FULL = {"steps": 1_000_000, "seeds": tuple(range(310, 315))}
 MOST_SETTINGS, NEAREST = 40, 5
 FLOORS = {"cost_rate": 0.01, "J_R": 0.5, "J_C": 0.5, "CVaR_0.5": 0.5}
-"""Measures of the distance, and the least spread of a number, in its unit."""
+"""Measures that enter the distance, each with the least spread to assume, in its unit."""
 HELD_BACK = {"EMCC_0.33": 0.02, "EMCC_0.66": 0.02, "EMCC_0.99": 0.02}
-"""Measures that judge, and theirs."""
+"""Measures held back to judge settings, each with the least spread to assume."""
 MOST = 5.0
-"""Spreads that a number counts as, at most."""
+"""Cap on the deviation of a number, in spreads."""
 CLEARLY = 0.25
-"""Spreads by which another geometry must be nearer to become a task."""
+"""How much nearer, in spreads, another geometry must be to become a task."""
 
 
 @dataclasses.dataclass(frozen=True, order=True)
@@ -62,7 +62,7 @@ class Setting:
 
     @property
     def name(self):
-        """The choices that are not today's, in words."""
+        """The choices that differ from today's, in words."""
         own, usual = dataclasses.asdict(self), dataclasses.asdict(Setting())
         return ", ".join(f"{k} {v}" for k, v in own.items() if v != usual[k]) or "today's"
 
@@ -72,12 +72,12 @@ class Setting:
         return {"cutout_depth": self.depth, "step_length": self.step}
 
     def training(self, name, task):
-        """All that the runs of an algorithm on a task depend on, beside their seeds and length."""
+        """Return what an algorithm's runs on a task depend on, besides seeds and length."""
         depth = self.depth if task in CUT_OUT else None
         return self.step, depth, self.hyperparameters(name)
 
     def hyperparameters(self, name):
-        """Those of an algorithm, beside its preset."""
+        """Return an algorithm's hyper-parameters that replace its preset's."""
         chosen = {"multiplier_optimizer": self.optimizer}
         if self.units == "length":
             chosen["input_scale"] = LENGTHS[TASKS[0]]
@@ -107,14 +107,14 @@ OFF_POLICY = tuple(
 )
 SINGLE = ({"optimizer": "sgd"}, {"on_policy_limit": "terminal"}, {"wcsac": "library"})
 OTHERS = 3
-"""Other geometries that the best options are tried on."""
+"""Number of other geometries on which the best options are tried."""
 
 
 def proposed(distance: Mapping[Setting, float]) -> list[Setting]:
-    """The settings to be screened by now, given the distances of those that are.
+    """Return the settings to screen, given the distances of those already screened.
 
-    First depths, steps and units; on the nearest all options of the SAC family; on the nearest so
-    far single changes; and the options of the nearest so far on the next geometries.
+    First depths, steps and units; then, on the nearest of these, all options of the SAC family;
+    then single changes of the nearest so far, and its options on the next geometries.
     """
     found = list(GEOMETRIES)
     if not distance.keys() >= set(found):
@@ -133,7 +133,7 @@ def proposed(distance: Mapping[Setting, float]) -> list[Setting]:
 
 
 def in_full(distance):
-    """The settings that are run in full: the nearest, today's, and the nearest of today's
+    """Return the settings to run at full length: the nearest, today's, and the nearest with today's
     geometry."""
     order = sorted(distance, key=distance.__getitem__)
     at_home = [own for own in order if own.geometry == Setting().geometry]
@@ -141,7 +141,7 @@ def in_full(distance):
 
 
 def rows_of(folder, setting):
-    """A row for each complete run below a folder."""
+    """Return a row for each complete run below a folder."""
     rows = []
     for group in agents.load_runs(folder).results:
         for run in group.runs:
@@ -152,15 +152,16 @@ def rows_of(folder, setting):
 
 
 def cells(floors=FLOORS):
-    """The paper's numbers by (algorithm, task, measure)."""
+    """Return the paper's numbers by (algorithm, task, measure)."""
     printed = {(a, t): paper_results(t, title(a)) for a in PAPER_ALGORITHMS for t in TASKS}
     return {(a, t, m): of[m] for (a, t), of in printed.items() for m in floors}
 
 
 def deviations(runs, spread, floors=FLOORS):
-    """By cell: how many spreads the mean over the runs of a setting is from the paper's number, at
-    most `MOST`, which a cell without a run counts as. The spread is the standard deviation over
-    seeds of the published runs, but at least the measure's floor."""
+    """Return for each cell the deviation, in spreads, of a setting's mean over runs from the paper.
+
+    It is at most `MOST`, which is also the value of a cell without a run. The spread is the
+    standard deviation over seeds of the published runs, but at least the measure's floor."""
     means = runs.groupby(["algorithm", "task"])[list(floors)].mean()
     found = {}
     for (name, task, measure), value in cells(floors).items():
@@ -172,19 +173,19 @@ def deviations(runs, spread, floors=FLOORS):
 
 
 def distance_of(runs, spread, floors=FLOORS):
-    """The mean over all cells of `deviations`."""
+    """Return the mean of `deviations` over all cells."""
     return float(np.mean(list(deviations(runs, spread, floors).values())))
 
 
 def distances(table, spread, floors=FLOORS):
-    """By setting."""
+    """Return `distance_of` each setting of a table."""
     by = table.groupby(list(FACTORS)) if len(table) else {}
     return {Setting(*values): distance_of(own, spread, floors) for values, own in by}
 
 
 def clearly_nearer(table, spread, draws=2_000):
-    """The setting of another geometry that becomes a task, and how much nearer it is, [2.5 %, 50 %,
-    97.5 %] of a bootstrap over seeds: None where the rule gives none."""
+    """Return the setting of another geometry that becomes a task, and how much nearer it is: the
+    2.5, 50 and 97.5 % quantiles of a bootstrap over seeds. None if the rule selects none."""
     near = distances(table, spread)
     order = sorted(near, key=near.__getitem__)
     away = [own for own in order if own.geometry != Setting().geometry]
@@ -208,7 +209,7 @@ def clearly_nearer(table, spread, draws=2_000):
 
 
 def _arrays(table, setting):
-    """Values of a setting's runs, [algorithms and tasks, seeds, measures]."""
+    """Return the values of a setting's runs, [algorithms and tasks, seeds, measures]."""
     own = table[table["setting"] == setting.name]
     pairs = [(a, t) for a in PAPER_ALGORITHMS for t in TASKS]
     parts = [own[(own["algorithm"] == a) & (own["task"] == t)] for a, t in pairs]
@@ -224,7 +225,7 @@ def _units(spread):
 
 
 def page(screened, full, spread):
-    """The ranking as Markdown."""
+    """Return the ranking as Markdown."""
     near = distances(screened, spread)
     order = sorted(near, key=near.__getitem__)
     parts = ["# Settings by their distance from the paper's numbers\n"]
@@ -266,7 +267,8 @@ def _of(table, setting):
 
 
 def _moved(near, factor):
-    """For each value of a factor: settings, their mean distance, and the nearest."""
+    """Yield for each value of a factor: the value, the number of settings, their mean distance, and
+    the least distance."""
     values = dict.fromkeys(sorted(getattr(own, factor) for own in near))
     for value in values if len(values) > 1 else ():
         own = [d for s, d in near.items() if getattr(s, factor) == value]
@@ -279,13 +281,13 @@ def _markdown(columns, rows):
 
 
 def read(name):
-    """A table of results/identification; empty where it is not there yet."""
+    """Read a table of results/identification; it is empty if there is no file yet."""
     path = RESULTS / f"{name}.csv"
     return pd.read_csv(path) if path.exists() else pd.DataFrame()
 
 
 def read_spread():
-    """The standard deviation of each number over the seeds of the published runs, by cell."""
+    """Return by cell the standard deviation over seeds of the published runs."""
     published = pd.read_csv(RESULTS.parent / "circle2d" / "report.csv")
     runs = published[published["kind"] == "run"].groupby(["algorithm", "task"])
     spread = runs[[*FLOORS, *HELD_BACK]].std()
@@ -298,7 +300,7 @@ def read_spread():
 
 
 def shared(setting, table):
-    """By algorithm and task: a setting's rows of the runs that it has in common with others."""
+    """Return, by algorithm and task, rows for the runs that a setting shares with others."""
     found, own = {}, {"setting": setting.name, **dataclasses.asdict(setting)}
     for key, rows in table.groupby([*FACTORS, "algorithm", "task"]) if len(table) else ():
         *factors, name, task = key
@@ -308,9 +310,9 @@ def shared(setting, table):
 
 
 def train(setting, length, out, table):
-    """The rows of a setting's runs, trained where neither a table of other settings nor its folder
-    has them; of those that fail, such as one that diverges, none, which counts as the greatest
-    deviation."""
+    """Return the rows of a setting's runs; train those that neither a table of other settings nor
+    the setting's folder has. A failed run, such as one that diverged, has no row, which counts as
+    the greatest deviation."""
     there, folder = shared(setting, table), out / setting.name
     for name in PAPER_ALGORITHMS:
         settings = length | setting.hyperparameters(name)
@@ -325,7 +327,7 @@ def train(setting, length, out, table):
 
 
 def _train_all(name, length, out, settings_of):
-    """Train what the rule asks for, and keep the rows, until it asks for nothing more."""
+    """Train settings and save their rows until the rule proposes no more."""
     while True:
         table, of = read(name), read_spread()
         near = distances(table, of)
@@ -354,7 +356,7 @@ def full(options):
 
 
 def rank(options):
-    """Write the page of what is there."""
+    """Write the ranking of all settings so far."""
     screened = read("screening")
     if not len(screened):
         raise UserError("nothing is screened yet: run screen first")

@@ -1,7 +1,7 @@
-"""CPO as OmniSafe 0.5 has it: the growth of the cost is that of a step, its excess of an episode.
+"""CPO as in OmniSafe 0.5, which compares a change of cost per step with an excess per episode.
 
-With episodes of 1000 steps the limit's plane then hardly ever cuts the trust region. Within the
-limit a step is TRPO's; beyond it, it follows the cost alone.
+With episodes of 1000 steps, the constraint's hyperplane then hardly ever cuts the trust region. If
+the policy satisfies the constraint, the update is TRPO's; otherwise it only lowers the cost.
 
 circle2d train cpo-omnisafe --import omnisafe_cpo ...
 """
@@ -12,10 +12,10 @@ from agents.trust_region import TrustRegion
 
 
 class CostsOfAStep(TrustRegion):
-    """The family, for which an episode is one step long where it predicts costs."""
+    """The trust-region family with episode length 1 in the prediction of costs."""
 
     def improve(self, epoch, steps, generators):
-        """Its step, without the factor of the episodes' length."""
+        """Update the policy without the factor of the episodes' length."""
         taking_part = (epoch.length > 0).to(epoch.length.dtype)
         return super().improve(epoch._replace(length=taking_part), steps, generators)
 

@@ -1,9 +1,9 @@
-r"""A training by OmniSafe 0.5, with the cost and the reward of every step kept for EMCC.
+r"""Train with OmniSafe 0.5, and record the cost and the reward of every step for EMCC.
 
-Writes steps.npz: reward, cost and end of every step. Epochs are of ten episodes. What only one side
-has is off: normalised observations, the stop at a KL divergence, the decay of the step size, the
-critics' weight decay, means of costs over 50 episodes instead of the epoch's ten. The sky, 191 MB
-of pictures that every reset reads and nothing draws, is a plain one. Both sides, equal settings:
+Writes steps.npz: reward, cost and end of every step. Epochs have ten episodes. Features that only
+one side has are off: normalised observations, early stopping by KL divergence, learning-rate decay,
+the critics' weight decay, and mean costs over 50 episodes instead of the epoch's ten. A plain sky
+replaces 191 MB of pictures that every reset reads and nothing draws. Commands with equal settings:
 
 python omnisafe_run.py PPOLag --seed 0 --steps 500000 --out omnisafe/ppo-lag-0   # and 1, 2
 python omnisafe_run.py CPO --seed 0 --steps 500000 --out omnisafe/cpo-0
@@ -13,15 +13,15 @@ circle2d train cpo --task SafetyPointGoal1-v0 --seeds 0 1 2 3 4 5 6 7 8 9 --step
     --batch-size 128 --learning-rate 1e-3 --line-search-steps 20 --target-kl 0.02 \
     --cg-damping 0.2 --out ours/cpo   # and, seeds 0 to 4, cpo-omnisafe --import omnisafe_cpo
 
-OmniSafe's KL divergence is a mean over the components of the action, here two, so that its target
-and damping are half of ours.
+OmniSafe's KL divergence is a mean over the components of the action, here two, so its target and
+damping are half of ours.
 
-OmniSafe runs on Python 3.11 in an environment of its own, without this package:
+OmniSafe runs on Python 3.11 in a separate environment, without this package:
 
 - pip install --no-deps omnisafe==0.5.0 safety-gymnasium==1.0.0 mujoco==2.3.3 numpy==1.23.5 \
       gymnasium==0.28.1 gymnasium-robotics==1.2.2 pandas==1.5.3 scipy==1.10.1 matplotlib==3.7.5 \
       seaborn==0.12.2 moviepy==1.0.3 tensorboard==2.14.1 setuptools==65.5.0 torch
-  and what these import, without their pins; empty modules wandb and gdown will do.
+  and what these import, without their pins; empty modules wandb and gdown suffice.
 - In Safety-Gymnasium's classes of geoms, fields as `color: np.array = COLOR[...]` become
   `field(default_factory=lambda: COLOR[...])`: Python 3.11 refuses an array as default.
 """
@@ -41,7 +41,7 @@ SKY = re.compile(r'<texture type="skybox"[^>]*>')
 
 
 def record_steps(out: Path) -> None:
-    """Have the environment write the rewards, costs and episode ends of each epoch's steps."""
+    """Patch the environment to write rewards, costs and episode ends after each epoch."""
     steps: list[tuple[float, float, bool]] = []
     step = SafetyGymnasiumEnv.step
 
@@ -58,7 +58,7 @@ def record_steps(out: Path) -> None:
 
 
 def see_the_epoch_alone() -> None:
-    """Have the means of costs be of the epoch's own episodes."""
+    """Patch the logger to average costs over the episodes of the epoch only."""
     register = Logger.register_key
 
     def registered(self, key, *args, window_length=None, **kwargs):
@@ -68,14 +68,14 @@ def see_the_epoch_alone() -> None:
 
 
 def leave_the_sky_out() -> None:
-    """Have models built without the pictures of the sky."""
+    """Patch MuJoCo to build models without the pictures of the sky."""
     build = mujoco.MjModel.from_xml_string
     plain = '<texture type="skybox" builtin="flat" width="1" height="1">'
     mujoco.MjModel.from_xml_string = lambda xml: build(SKY.sub(plain, xml))
 
 
 def main() -> None:
-    """Train as the command line says."""
+    """Train with the settings of the command line."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("algorithm", choices=("PPOLag", "CPO"))

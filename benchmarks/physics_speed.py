@@ -1,5 +1,5 @@
-"""Steps a second of Circle2D with MuJoCo's physics, beside MuJoCo's own rollout and gymnasium's
-MuJoCo environments, in turns, on one core (two where the table says so).
+"""Steps per second of Circle2D with MuJoCo's physics, compared with MuJoCo's own rollout and
+gymnasium's MuJoCo environments, in turns, on one core (two where the table says so).
 
 python benchmarks/physics_speed.py
 """
@@ -21,7 +21,7 @@ from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 
 SIZE, TURNS = 1024, 5
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, SIZE, 2))
-SPAN = 0.6  # seconds a turn of a single environment lasts
+SPAN = 0.6  # seconds of a turn for environments made by gymnasium
 LEVELS = range(4)
 SOFT = {"contact": "soft", "stiffness": 200.0}
 SCENES = {f"level {level}": {"level": level} for level in LEVELS}
@@ -31,7 +31,7 @@ SCENES["level 1, soft, drawn"] = {"level": 1, **SOFT, **DRAWN}
 
 
 def vector(num_threads=1, **parameters):
-    """An episode of 50 steps and its reset, 1024 times."""
+    """Return a function that measures 1024 episodes of 50 steps with resets, in steps/s."""
     envs = Circle2DMuJoCoVectorEnv(
         SIZE, num_threads=num_threads, autoreset_mode="SameStep", **parameters
     )
@@ -47,7 +47,7 @@ def vector(num_threads=1, **parameters):
 
 
 def open_loop(**parameters):
-    """The same starts and actions through mujoco.rollout, which is physics and nothing else."""
+    """Return a function that measures mujoco.rollout, physics only, on equal starts and actions."""
     envs = Circle2DMuJoCoVectorEnv(SIZE, **parameters)
     envs.reset(seed=0)
     model, substeps = envs.simulation.dynamics.model, envs.simulation.dynamics.physics.substeps
@@ -67,7 +67,7 @@ def open_loop(**parameters):
 
 
 def resets(**parameters):
-    """Seconds for a reset of all 1024."""
+    """Return a function that measures the seconds of a reset of all 1024 environments."""
     envs = Circle2DMuJoCoVectorEnv(SIZE, **parameters)
     envs.reset(seed=0)
 
@@ -81,7 +81,8 @@ def resets(**parameters):
 
 
 def through_gymnasium(task, mode=None, num_envs=8):
-    """Of a single environment (mode None) or gymnasium's own vector of them; resets included."""
+    """Return a function that measures the steps/s of a single environment (mode None) or of
+    gymnasium's own vector environment; resets included."""
     env = gym.make(task) if mode is None else gym.make_vec(task, num_envs, mode)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -101,7 +102,7 @@ def through_gymnasium(task, mode=None, num_envs=8):
 
 
 def measurements():
-    """Name of a row -> what a turn measures."""
+    """Return the functions that a turn calls, by the name of their row."""
     runs = {}
     for name, parameters in SCENES.items():
         runs[name] = vector(**parameters)
@@ -116,7 +117,7 @@ def measurements():
 
 
 def table(seen):
-    """Medians over the turns, and medians of each turn's ratios. seen: row -> [turns]."""
+    """Yield the lines of a table: medians over turns of values and ratios. seen: row -> [turns]."""
 
     def ratio(name, of):
         pairs = zip(seen[name], seen[of], strict=True)
@@ -140,7 +141,7 @@ def table(seen):
 
 
 def main():
-    """Prints one Markdown table."""
+    """Print one Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=int, default=TURNS)
     turns = parser.parse_args().turns

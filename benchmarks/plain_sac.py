@@ -1,7 +1,7 @@
-"""The yardstick of the SAC family: SAC-Lag, SAC-LB and WCSAC for one run, in plain PyTorch.
+"""Reference for the SAC family: SAC-Lag, SAC-LB and WCSAC for one run, in plain PyTorch.
 
 `nn.Module`s, `torch.optim.Adam`, a loop over one environment, the hyper-parameters of the paper.
-It shares no code with `agents`; it is here to be timed beside it, and as a second implementation.
+It shares no code with `agents`: it is a baseline for timings and an independent implementation.
 """
 
 import copy
@@ -33,7 +33,7 @@ class Actor(nn.Module):
         return Normal(mean, log_std.clamp(-20, 2).exp(), validate_args=False)
 
     def forward(self, observation):
-        """Actions and their log-probabilities."""
+        """Sample actions; return them and their log-probabilities."""
         normal = self.normal(observation)
         u = normal.rsample()
         correction = 2 * (math.log(2.0) - u - functional.softplus(-2 * u))
@@ -55,7 +55,7 @@ class Critic(nn.Module):
 
 
 class SACLag:
-    """SAC with two cost critics and a multiplier on the larger of them."""
+    """SAC with two cost critics, and a multiplier for the larger of their outputs."""
 
     cost_limit, discount, tau, capacity = 5.0, 0.99, 0.005, 50_000
     has_multiplier = True
@@ -82,7 +82,7 @@ class SACLag:
         return functional.softplus(self.raw_multiplier)
 
     def risk(self, costs):
-        """Cost estimate that the actor penalises, from the outputs of both cost critics."""
+        """Return the cost estimate that the actor penalises, from both cost critics' outputs."""
         return torch.maximum(*costs)
 
     def cost_loss(self, costs, next_costs, cost, discount):
@@ -102,7 +102,7 @@ class SACLag:
         self.learn(torch.as_tensor(self.replay[index]))
 
     def learn(self, batch):
-        """One gradient step of everything; batch: rows as `store` makes them.
+        """Take a gradient step for all networks and multipliers; batch: rows as in `store`.
 
         Returns the losses of the critics and of the actor."""
         obs, action, reward, cost, obs2, end = batch.split([2, 2, 1, 1, 2, 1], dim=-1)
@@ -135,7 +135,7 @@ class SACLag:
 
 
 class SACLB(SACLag):
-    """The multiplier's place is taken by a smoothed log barrier."""
+    """SAC with a smoothed log barrier instead of the multiplier."""
 
     factor, has_multiplier = 3.0, False
 
@@ -148,7 +148,8 @@ class SACLB(SACLag):
 
 
 class WCSAC(SACLag):
-    """The cost critics are the mean and the variance of the cost; the actor fears the CVaR."""
+    """SAC whose cost critics predict mean and variance of the cost, and whose actor penalises the
+    CVaR."""
 
     level, damping = 0.5, 10.0
 
@@ -181,7 +182,7 @@ class WCSAC(SACLag):
 
 
 def minimize(optimizer, loss):
-    """A step of the optimizer's parameters; no gradient is computed for any other."""
+    """Take a step of an optimizer; gradients are computed only for the optimizer's parameters."""
     optimizer.zero_grad()
     loss.backward(inputs=optimizer.param_groups[0]["params"])
     optimizer.step()
@@ -191,7 +192,7 @@ AGENTS = {"sac-lag": SACLag, "sac-lb": SACLB, "wcsac": WCSAC}
 
 
 def epochs(seed, algorithm="sac-lag", task="Circle2D-1-v0", random_steps=5_000, gradient_steps=5):
-    """Train without end; yields after every epoch, which is an episode: steps, return, cost."""
+    """Train without end; yield steps, return and cost after every epoch, which is an episode."""
     env, agent = gym.make(task), AGENTS[algorithm](seed)
     env.action_space.seed(seed)
     observation, _ = env.reset(seed=seed)
@@ -217,7 +218,7 @@ def epochs(seed, algorithm="sac-lag", task="Circle2D-1-v0", random_steps=5_000, 
 
 
 def train(seed, steps, task="Circle2D-1-v0", random_steps=5_000, algorithm="sac-lag"):
-    """Train for `steps` environment steps; returns the returns and cost returns of the episodes."""
+    """Train for `steps` environment steps; return the returns and cost returns of the episodes."""
     returns, costs = [], []
     for step, some_returns, some_costs in epochs(seed, algorithm, task, random_steps):
         returns += some_returns

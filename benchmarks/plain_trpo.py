@@ -1,8 +1,8 @@
-"""The yardstick of the on-policy family: TRPO-Lag and CPO for one run, in plain PyTorch.
+"""Reference for the on-policy family: TRPO-Lag and CPO for one run, in plain PyTorch.
 
 `nn.Module`s, `torch.optim.Adam`, Fisher-vector products by differentiating twice, a loop over one
-environment, the hyper-parameters of the paper. It shares no code with `agents`; it is here to be
-timed beside it, and as a second implementation.
+environment, the hyper-parameters of the paper. It shares no code with `agents`: it is a baseline
+for timings and an independent implementation.
 """
 
 import math
@@ -39,8 +39,8 @@ class Actor(nn.Module):
 
 
 def advantages(rewards, values, discount=0.99, gae_lambda=0.95):
-    """Of one episode, cut off by its time limit; values: one more than rewards, of what it ended
-    with."""
+    """Return the GAE advantages of one episode, truncated by its time limit, [T]; rewards: [T];
+    values: [T + 1], the last one of the final observation."""
     deltas = rewards + discount * values[1:] - values[:-1]
     found, following = np.zeros_like(deltas), 0.0
     for t in reversed(range(len(deltas))):
@@ -83,7 +83,8 @@ class TRPOLag:
         return (reward_advantage - multiplier * cost_advantage) / (1 + multiplier)
 
     def learn(self, episodes):
-        """An epoch; episodes: (observations, the last one included; actions; rewards; costs)."""
+        """Update from an epoch; episodes: (observations with the final one, actions, rewards,
+        costs)."""
         everything = torch.as_tensor(np.concatenate([episode[0] for episode in episodes]))
         with torch.no_grad():
             both = [critic(everything)[:, 0].double().numpy() for critic in self.critics]
@@ -108,7 +109,8 @@ class TRPOLag:
         self.multiplier_step(excess)
 
     def policy_step(self, obs, action, gain, cost_gain, excess, length):
-        """Gains standardised, excess: mean cost of an episode above the limit, length: its mean."""
+        """Update the actor. gain, cost_gain: advantages, the first standardised, the second
+        centred; excess: mean cost of an episode minus the limit; length: mean episode length."""
         objective, parameters = self.objective(gain, cost_gain), list(self.actor.parameters())
         with torch.no_grad():
             old = self.actor(obs)
@@ -147,7 +149,7 @@ class TRPOLag:
             vector_to_parameters(start, parameters)
 
     def step(self, gradient, cost_gradient, excess, product):
-        """The step, whether it has to improve the objective, and how much cost it may add."""
+        """Return the step, whether it must improve the objective, and how much cost it may add."""
         return self.to_boundary(conjugate_gradient(product, gradient), product), True, math.inf
 
     def to_boundary(self, direction, product):
@@ -172,7 +174,7 @@ class TRPOLag:
 
 
 class CPO(TRPOLag):
-    """Costs are a constraint on the step: maximise g·x with `c + b·x ≤ 0` and `½ xᵀHx ≤ δ`."""
+    """TRPO with the cost constraint in the step: maximise g·x with `c + b·x ≤ 0`, `½ xᵀHx ≤ δ`."""
 
     has_multiplier = False
 
@@ -185,14 +187,15 @@ class CPO(TRPOLag):
         q, r, s = ((x @ y).item() for x, y in ((gradient, to_g), (gradient, to_b), (b, to_b)))
         bound = max(0.0, -c)
         outside = s >= 1e-8 and c**2 / s > 2 * delta
-        if s < 1e-8 or (outside and c <= 0):  # no b, or the trust region wholly within the limit
+        if s < 1e-8 or (outside and c <= 0):  # no b, or the whole trust region is feasible
             return self.to_boundary(to_g, product), c <= 0, bound
-        if outside:  # wholly beyond it: back
+        if outside:  # the whole trust region is infeasible: lower the cost
             return self.to_boundary(-to_b, product), False, bound
         free = to_g * math.sqrt(2 * delta / q) if q > 0 else to_g
         if c + (b @ free).item() <= 0:
             return free, c <= 0, bound
-        # On the limit's plane: its point nearest to here, then as far along as the region reaches.
+        # The constraint is active: go to the nearest point of its hyperplane, then along the
+        # hyperplane to the boundary of the trust region.
         along, room = q - r**2 / s, 2 * delta - c**2 / s
         onwards = (to_g - r / s * to_b) * math.sqrt(room / along) if along > 1e-6 * q else 0.0
         return onwards - c / s * to_b, c <= 0, bound
@@ -208,7 +211,7 @@ AGENTS = {"trpo-lag": TRPOLag, "cpo": CPO}
 
 
 def epochs(seed, algorithm="trpo-lag", task="Circle2D-1-v0"):
-    """Train without end; yields after every epoch of 10 episodes: steps, returns, costs."""
+    """Train without end; yield steps, returns and costs after every epoch of 10 episodes."""
     env, agent = gym.make(task), AGENTS[algorithm](seed)
     env.reset(seed=seed)
     step = 0
@@ -234,7 +237,7 @@ def episode(env, actor):
 
 
 def train(seed, steps, task="Circle2D-1-v0", algorithm="trpo-lag"):
-    """Train for `steps` environment steps; returns the returns and cost returns of the episodes."""
+    """Train for `steps` environment steps; return the returns and cost returns of the episodes."""
     returns, costs = [], []
     for step, some_returns, some_costs in epochs(seed, algorithm, task):
         returns += some_returns

@@ -1,8 +1,8 @@
-"""SAC and PPO without a constraint beside Stable-Baselines3's: learning curves on Pendulum-v1.
+"""SAC and PPO without a constraint, and Stable-Baselines3's: learning curves on Pendulum-v1.
 
-Equal networks and hyper-parameters on both sides, those of RL Baselines3 Zoo for this task as far
-as both have them. Each takes its own initial weights, episodes and noise. Prints the mean return of
-training's episodes in each quarter of training: mean over seeds, 95 % interval, seeds.
+Networks and hyper-parameters are equal, those of RL Baselines3 Zoo for this task as far as both
+sides have them. Initial weights, episodes and noise differ. Prints the mean return of episodes in
+each quarter of training: mean over seeds and 95 % interval.
 
 python benchmarks/references.py --algorithms sac ppo --seeds 0 1 2
 """
@@ -34,7 +34,7 @@ PPO = {"batch_size": 64, "episodes": 10, "discount": 0.9, "critic_iterations": 1
 
 
 class Free(gym.Wrapper):
-    """Actions in [-1, 1]; no step costs anything."""
+    """Pendulum-v1 with actions in [-1, 1], whose steps cost nothing."""
 
     def __init__(self):
         super().__init__(gym.wrappers.RescaleAction(gym.make("Pendulum-v1"), -1.0, 1.0))
@@ -45,7 +45,7 @@ class Free(gym.Wrapper):
 
 
 def ours(name, seeds, steps):
-    """Returns of the episodes of each seed."""
+    """Train our algorithm; return the returns of the episodes of each seed."""
     settings = {"hidden": HIDDEN, "learning_rate": RATE} | (SAC if name == "sac" else PPO)
     config = algorithm(name).config(**settings)
     training = TrainConfig(name, (TASK,), tuple(seeds), steps, config)
@@ -60,7 +60,7 @@ def ours(name, seeds, steps):
 
 
 def theirs(name, seeds, steps):
-    """Those of Stable-Baselines3, one seed after the other."""
+    """Train Stable-Baselines3's, one seed after the other; return the same as `ours`."""
     import stable_baselines3 as sb3
     from stable_baselines3.common.monitor import Monitor
 
@@ -99,7 +99,7 @@ def theirs(name, seeds, steps):
 
 
 def quarters(returns, steps):
-    """Mean return of the episodes in each quarter of training, [seeds, quarters]."""
+    """Return the mean return of the episodes in each quarter of training, [seeds, quarters]."""
     episodes = steps // EPISODE
     parts = [np.array_split(of_seed[:episodes], QUARTERS) for of_seed in returns]
     return np.array([[part.mean() for part in of_seed] for of_seed in parts])
@@ -110,9 +110,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--algorithms", nargs="+", choices=STEPS, default=list(STEPS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--steps", type=int, help="by default 12000 of SAC, 60000 of PPO")
+    parser.add_argument("--steps", type=int, help="by default 12000 for SAC, 60000 for PPO")
     options = parser.parse_args()
-    warnings.filterwarnings("ignore", module="stable_baselines3")  # a last, smaller minibatch
+    warnings.filterwarnings("ignore", module="stable_baselines3")  # of a smaller last minibatch
     gym.register(TASK, entry_point=Free, disable_env_checker=True)
     backend.configure("c++")
     torch.set_num_threads(1)

@@ -1,9 +1,9 @@
-"""Milliseconds of pictures without a screen, by EGL and by OSMesa, one core.
+"""Milliseconds to render pictures without a screen, with EGL and with OSMesa, on one core.
 
 python benchmarks/render_speed.py
 
-Each backend is measured in a process of its own, in turns. The yardstick is a frame of gymnasium's
-own Reacher-v5 at its default size, by the same backend.
+Each backend is measured in a separate process, in turns. The reference is a frame of gymnasium's
+Reacher-v5 at its default size, with the same backend.
 """
 
 import json
@@ -17,12 +17,12 @@ import numpy as np
 
 VISITS, STATES, EPISODE = 1_000_000, 10_000, 50
 TURNS, REPEATS = 5, 5
-# numpy's threads, and those of Mesa's llvmpipe.
+# Threads of NumPy, and of Mesa's llvmpipe.
 ONE_CORE = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 
 
 def milliseconds(call, repeats=1):
-    """The median of some calls."""
+    """Return the median milliseconds of a call."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -32,7 +32,7 @@ def milliseconds(call, repeats=1):
 
 
 def walks(config, episodes):
-    """Random walks from the right edge inwards: [episodes, EPISODE + 1, 2], and their costs."""
+    """Return random walks from the right edge inwards, [episodes, EPISODE + 1, 2], and costs."""
     rng = np.random.default_rng(0)
     steps = rng.normal((-0.3, 0.0), 0.8, (episodes, EPISODE, 2))
     starts = np.tile((12.0, 0.0), (episodes, 1, 1))
@@ -41,7 +41,7 @@ def walks(config, episodes):
 
 
 def measure():
-    """One turn of the backend that MUJOCO_GL names: name -> milliseconds."""
+    """Measure one turn of the backend that MUJOCO_GL names; return milliseconds by name."""
     from circle2d_mj import Circle2DConfig
     from circle2d_mj.render.renderer import Renderer
 
@@ -66,7 +66,7 @@ def measure():
 
 
 def yardstick():
-    """A frame of gymnasium's Reacher-v5, 480 x 480."""
+    """Measure a frame of gymnasium's Reacher-v5, 480 x 480."""
     import gymnasium as gym
 
     env = gym.make("Reacher-v5", render_mode="rgb_array")

@@ -1,13 +1,12 @@
-"""Steps a second of the Safety tasks, beside the original and gymnasium, in one run on one core.
+"""Steps per second of the Safety tasks, the original and gymnasium, in one run on one core.
 
     python benchmarks/safety_speed.py [--original PYTHON] [--turns 3] [TASK ...]
 
-CPU time, resets included, random actions; medians over turns in which all take their share of
-whatever else the machine does. PYTHON: an interpreter where `pip install safety-gymnasium==1.0.0`
-is done (Python 3.10); without it that column is empty. TASK: as in SafetyPointGoal1-v0; all of
-them without any. "MuJoCo" is what a single environment would reach if MuJoCo's steps were all it
-took: ten of them, objects at rest left alone, and mj_forward for the sensors. The velocity tasks
-stand beside gymnasium's own v5.
+CPU time with random actions, resets included; medians over turns, so that whatever else the machine
+does affects all alike. PYTHON: an interpreter (Python 3.10) with safety-gymnasium 1.0.0 installed;
+without it that column is empty. TASK: such as SafetyPointGoal1-v0; by default all. "MuJoCo" is the
+speed of a single environment that only took MuJoCo's steps: ten of them, without objects at rest,
+and mj_forward for the sensors. The velocity tasks are compared with gymnasium's v5.
 """
 
 import os
@@ -22,9 +21,9 @@ import time
 
 VECTOR = 64
 STEPS = {"single": 2000, "vector": 100}
-# With a picture in each step, which takes most of it: less than an episode, on both sides.
+# A picture takes most of the time of a step: less than an episode, on both sides.
 STEPS_SEEN = {"single": 300, "vector": 3}
-# Runs in the original's Python: an episode with a reset of its own, and one reset more.
+# Runs in the original's Python: an episode with its reset, and one more reset.
 ORIGINAL = """
 import sys, time, warnings
 warnings.filterwarnings("ignore")

@@ -1,13 +1,13 @@
-"""Training on SafetyPointGoal1 beside OmniSafe and Stable-Baselines3: environment steps a second.
+"""Environment steps per second of training on SafetyPointGoal1: ours, OmniSafe, Stable-Baselines3.
 
     python benchmarks/safety_training_speed.py --omnisafe PYTHON [--runs 1 12] [--turns 3]
 
-PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed; OmniSafe runs
-on these. Stable-Baselines3, which has no constraint and so PPO alone, runs on the task of this
-package. All: 10,000 steps an epoch, 10 passes, networks of 64 and 64, equal minibatches; what only
-one side has is off. Speeds are of CPU time, one thread, rollout, updates and records included, of
-the second epoch. Each measurement has a process of its own; all take turns.
-Medians are printed, of speeds and of their ratios to OmniSafe's and to Stable-Baselines3's.
+PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed; OmniSafe uses
+the original task. Stable-Baselines3 has no constraints, so only its PPO is measured, on the task of
+this package. All sides have epochs of 10,000 steps, 10 passes, networks of 64 and 64, and equal
+minibatches; features that only one side has are off. Speeds are steps per CPU second of the second
+epoch, on one thread, including rollout, updates and records. Each measurement is a separate
+process; sides take turns. Prints medians of speeds and of their ratios to the other two libraries.
 """
 
 import argparse
@@ -48,7 +48,7 @@ print((epochs - 1) * epoch / (times[-1] - times[0]))
 
 
 def ours(name, runs):
-    """Speed of all runs together."""
+    """Return the speed of all our runs together."""
     from agents.algorithms import algorithm
     from agents.lockstep import backend
     from agents.training.config import TrainConfig
@@ -70,7 +70,7 @@ def ours(name, runs):
 
 
 def stable_baselines3():
-    """Speed of one run of its PPO."""
+    """Return the speed of one run of Stable-Baselines3's PPO."""
     import gymnasium as gym
     import stable_baselines3 as sb3
     import torch
@@ -88,14 +88,14 @@ def stable_baselines3():
 
 
 def speed(command):
-    """The last line that a process prints."""
+    """Run a command; return the number at the end of its output."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return float(done.stdout.split()[-1])
 
 
 def median(turns, kind, over=None):
-    """Median speed of one kind, or of its ratio to another; empty where one is not measured."""
+    """Return the median speed of one kind, or of its ratio to another; empty if not measured."""
     if not {kind, over} <= {*turns[0], None}:
         return ""
     values = [turn[kind] / (turn[over] if over else 1) for turn in turns]

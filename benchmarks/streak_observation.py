@@ -1,10 +1,10 @@
-"""Must a policy see the streak so far and the longest so far, where the longest is limited?
+"""Must a policy observe the current and the longest streak, if the longest streak is limited?
 
     python benchmarks/streak_observation.py --out FOLDER
 
-Trains PPO-Lag with `--streak-limit 10` on SafetyPointGoal1, observations normalised, with both
-numbers in the observation and without, and prints what the last third of training gave, mean over
-seeds with their range. It can be killed: a side that is complete in FOLDER stays.
+Trains PPO-Lag with `--streak-limit 10` on SafetyPointGoal1, with normalised observations, with and
+without both numbers in the observation, and prints measures of the last third of training: mean
+over seeds with the range. It can be interrupted: given again, it continues.
 """
 
 import argparse
@@ -22,12 +22,12 @@ from emcc.augmented import augmented
 STEPS, SEEDS, LIMIT = 300_000, (0, 1, 2), 10.0
 SHOWN = {"longest": "longest streak", "EMCC": "EMCC", "rate": "cost rate"}
 SHOWN |= {"cost": "cost", "return": "return"}
-"""Columns of `streaks.rows_of` and their heads."""
+"""Columns of `streaks.rows_of` and their headings."""
 
 
 @dataclass(frozen=True)
 class BlindConfig(ppo_lag.PPOLagConfig):
-    """PPO-Lag's, whose networks see no streaks; the record cost is the same."""
+    """PPO-Lag's config, with the same record cost, but without streaks in the observation."""
 
     def wrap(self, env, costs, time_limit):
         return augmented(env, Streaks(cost=costs[0], scale=None))
@@ -37,7 +37,7 @@ agents.register("ppo-lag-blind", ppo_lag.ALGORITHM._replace(config=BlindConfig))
 
 
 def main():
-    """Train what is not there, and print the table."""
+    """Train what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--steps", type=int, default=STEPS)

@@ -1,4 +1,4 @@
-"""The longest streak as a constraint: the study. Its question and rule: results/streaks/README.md.
+"""Study of the longest streak as a constraint; question and rule: results/streaks/README.md.
 
     python benchmarks/streaks.py screen --out FOLDER
     python benchmarks/streaks.py train --out FOLDER [--tasks TASK ...] [--arms ARM ...]
@@ -6,11 +6,11 @@
     python benchmarks/streaks.py analyse
 
 `screen` trains the candidates for the base learner and writes results/streaks/screening.csv, from
-which the rule chooses; `train` trains arms, on all cores. Both go on where they were interrupted,
-so that tasks and arms may be trained in several sessions, in one folder or, by `table --out A B`,
-in several. `table` adds a row for each run to results/streaks/runs.csv, and writes one archive for
-each arm into the folder; `analyse` makes results/streaks/analysis.md and curves.png of the rows of
-the tasks that are complete.
+which the rule chooses one; `train` trains arms, on all cores. Both continue where they were
+interrupted, so tasks and arms may be trained in several sessions, in one folder or in several (for
+these, `table --out A B`). `table` adds a row for each run to results/streaks/runs.csv, and writes
+an archive for each arm into the folder; `analyse` writes results/streaks/analysis.md and curves.png
+from the rows of complete tasks.
 """
 
 import argparse
@@ -42,12 +42,12 @@ CANDIDATES = {
     "TRPO-PID": ("trpo-pid", {}),
     "TRPO-PID, gentle": ("trpo-pid", {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}),
 }
-"""Base learners with the settings of their multipliers."""
+"""Candidates for the base learner, with the settings of their multipliers."""
 SCREENED_TASKS = ("SafetyPointGoal1-v0", "SafetyPointPush1-v0")
-"""Those that the constraint was designed on."""
+"""Tasks on which the constraint was designed."""
 SCREENED_SEEDS = (100, 101, 102)
 MEETS = 1.1
-"""A candidate meets its limit where the cost is at most so many times it."""
+"""A candidate satisfies its limit if the cost is at most this many times the limit."""
 
 TASKS = (
     *("SafetyPointCircle1-v0", "SafetyCarGoal1-v0", "SafetyPointButton1-v0"),
@@ -59,18 +59,18 @@ STREAKS = {f"streak {n:g}": {"streak_limit": n} for n in (20.0, 10.0, 5.0)}
 STREAKS |= {"tail 20": {"streak_limit": 20.0, "streak_alpha": 0.1}}
 ARMS = CONTROL | {"weight .1": {"streak_weight": 0.1}} | STREAKS
 PRIMARY = "streak 10"
-"""The arm that decides."""
+"""The arm that decides the study."""
 ENOUGH_TASKS = 4
 RETURN_MARGIN = 0.1
-"""Share of the return of `plain 25` by which a return may be lower and count as equal."""
+"""A return counts as equal if it is lower by at most this share of the return of `plain 25`."""
 FAMILIES = {"plain": tuple(CONTROL), "streak": ("plain 25", *STREAKS)}
-"""Arms whose points are a family's front: five each."""
+"""Arms that form the front of each family: five each."""
 VOLUMES = {"EMCC and return": ("EMCC", "return"), "EMCC and cost rate": ("EMCC", "rate")}
 
 
 def rows_of(folder, **about):
-    """A row for each complete run below a folder: measures of the last third of training, EMCC of
-    the others, and of the trained policy J_R and J_C."""
+    """Return a row for each complete run below a folder: measures of the last third of training,
+    EMCC of the other thirds, and J_R and J_C of the trained policy."""
     rows = []
     for group in agents.load_runs(folder).results:
         if group.cost != "cost":
@@ -89,11 +89,11 @@ def rows_of(folder, **about):
 
 
 def choose(screening):
-    """The candidate of a table with the columns candidate, task, seed, cost and return.
+    """Choose a candidate from a table with the columns candidate, task, seed, cost and return.
 
-    Of those whose mean cost is at most `MEETS` times the limit on every task, the one with the
-    highest return over the task's best, mean over tasks; where there are none, the one whose
-    largest cost is lowest.
+    Of the candidates whose mean cost is at most `MEETS` times the limit on every task, it is the
+    one with the highest return relative to the task's best, averaged over tasks; if there are none,
+    the one with the lowest largest cost.
     """
     means = screening.groupby(["candidate", "task"])[["cost", "return"]].mean()
     cost = means["cost"].unstack().max(axis=1)
@@ -104,15 +104,16 @@ def choose(screening):
 
 
 def complete(table):
-    """The tasks of a table that have all arms with all seeds."""
+    """Return the tasks of a table that have all arms with all seeds."""
     asked = table[table["arm"].isin(ARMS) & table["seed"].isin(SEEDS)]
     count = asked.drop_duplicates(["task", "arm", "seed"])["task"].value_counts()
     return [task for task in TASKS if count.get(task, 0) == len(ARMS) * len(SEEDS)]
 
 
 def gaps(own, arm, column):
-    """A column of an arm's runs on a task less the control's curve of the same seed, [seeds]: its
-    five runs, linear in the cost rate between them, beyond them that of the last."""
+    """Return the column of an arm's runs on a task minus the control's curve of the same seed,
+    [seeds]. The curve interpolates the control's five runs linearly in the cost rate, and is
+    constant outside them."""
     found = []
     for _, of_seed in own[own["seed"].isin(SEEDS)].groupby("seed"):
         control = of_seed[of_seed["arm"].isin(CONTROL)].sort_values("rate")
@@ -122,18 +123,18 @@ def gaps(own, arm, column):
 
 
 def sign_test(values):
-    """The p value of the two-sided permutation test of mean 0, exact over all signs of [seeds]."""
+    """Return the p value of the two-sided test of mean 0, exact over all sign flips of [seeds]."""
     how = {"permutation_type": "samples", "n_resamples": np.inf}
     return float(scipy.stats.permutation_test((values,), np.mean, **how).pvalue)
 
 
 def judge(table):
-    """A row for each task and arm that is no control's.
+    """Return a row for each complete task and each arm that is not a control.
 
-    rate, low_rate, high_rate: its mean cost rate, and the control's lowest and highest; gap, low,
-    high, p: mean over seeds of `gaps` of EMCC, with the 95 % interval and the p value; of the
-    primary arm corrected over the tasks, of the others over these arms and tasks. return_gap,
-    return_low: likewise of the return. success: see the rule.
+    rate, low_rate, high_rate: the arm's mean cost rate, and the lowest and highest of the controls;
+    gap, low, high, p: mean over seeds of `gaps` of EMCC, with its 95 % interval and p value, which
+    is corrected over tasks for the primary arm, and over arms and tasks for the others. return_gap,
+    return_low: the same for the return. success: see the rule.
     """
     rows = []
     for task in complete(table):
@@ -160,8 +161,8 @@ def judge(table):
 
 
 def hypervolume(points):
-    """The share of the unit square that some points [N, 2], both coordinates to be low, dominate:
-    where neither coordinate is below theirs."""
+    """Return the share of the unit square that the points [N, 2] dominate: where both coordinates
+    are at least those of some point (lower is better)."""
     area, lowest = 0.0, 1.0
     for x, y in sorted(map(tuple, np.clip(points, 0.0, 1.0))):
         area += max(lowest - y, 0.0) * (1.0 - x)
@@ -170,8 +171,8 @@ def hypervolume(points):
 
 
 def volumes(table):
-    """Both families' hypervolumes of each pair of measures, [seeds, tasks]. Measures are scaled to
-    [0, 1] by the lowest and the highest run of a task, whatever the arm; a return counts down."""
+    """Return both families' hypervolumes for each pair of measures, [seeds, tasks]. Measures are
+    scaled to [0, 1] by the lowest and highest run of a task over all arms; returns are negated."""
     tasks = complete(table)
     found = {name: {f: np.zeros((len(SEEDS), len(tasks))) for f in FAMILIES} for name in VOLUMES}
     for column, task in enumerate(tasks):
@@ -188,8 +189,8 @@ def volumes(table):
 
 
 def volume_rows(table):
-    """A row for each pair of measures: both families' means over seeds and tasks, and the p value
-    of the test that is stratified by tasks, corrected for the number of pairs."""
+    """Return a row for each pair of measures: both families' mean hypervolumes over seeds and
+    tasks, and the p value of a test stratified by tasks, corrected for the number of pairs."""
     rng, rows = np.random.default_rng(0), []
     for name, of in volumes(table).items():
         p = permutation_test(of["plain"], of["streak"], rng=rng)
@@ -201,7 +202,7 @@ def volume_rows(table):
 
 
 def verdict(judged):
-    """The study's answer in a sentence."""
+    """Return the study's answer in a sentence."""
     primary = judged[judged["arm"] == PRIMARY]
     successes = primary.loc[primary["success"], "task"].tolist()
     if len(primary) < len(TASKS) and len(successes) < ENOUGH_TASKS:
@@ -212,7 +213,7 @@ def verdict(judged):
 
 
 def page(table):
-    """The analysis as Markdown."""
+    """Return the analysis as Markdown."""
     judged, means = judge(table), table[table["task"].isin(complete(table))]
     order = [(task, arm) for task in complete(table) for arm in ARMS]
     means = means.groupby(["task", "arm"])[["EMCC", "rate", "return", "longest", "J_R", "J_C"]]
@@ -229,7 +230,7 @@ def _markdown(frame):
 
 
 def draw(table, path):
-    """EMCC against return and against cost rate: the control's curve, and the other arms."""
+    """Draw EMCC against return and against cost rate: the control's curve and the other arms."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -256,14 +257,15 @@ def draw(table, path):
 
 
 def base():
-    """The algorithm and the settings that the screening chose. Raises UserError before it."""
+    """Return the algorithm and settings that the screening chose. Raises UserError if there was no
+    screening."""
     if not (RESULTS / "screening.csv").exists():
-        raise UserError("the base learner is not chosen: 'benchmarks/streaks.py screen' does it")
+        raise UserError("the base learner is not chosen yet: run 'benchmarks/streaks.py screen'")
     return CANDIDATES[choose(pd.read_csv(RESULTS / "screening.csv"))]
 
 
 def screen(options):
-    """Train the candidates' plain arm, and write their table."""
+    """Train the plain arm of the candidates, and write their table."""
     rows = []
     for name, (algorithm, values) in CANDIDATES.items():
         out = options.out / "screening" / name
@@ -286,14 +288,14 @@ def train(options):
 
 
 def merged(before, rows):
-    """A table with rows added: they take the place of those of the same runs."""
+    """Add rows to a table; they replace rows of the same runs."""
     table = pd.concat([before, pd.DataFrame(rows)])
     table = table.drop_duplicates(["task", "arm", "seed"], keep="last")
     return table.sort_values(["task", "arm", "seed"], ignore_index=True)
 
 
 def table(options):
-    """Add the rows of all runs that are there, and write the arms' archives."""
+    """Add rows for all runs so far, and write the arms' archives."""
     rows, path = [], RESULTS / "runs.csv"
     for out in options.out:
         for arm in ARMS:
@@ -305,7 +307,7 @@ def table(options):
 
 
 def analyse(options):
-    """Write the analysis of the tasks that are complete."""
+    """Write the analysis of the complete tasks."""
     runs = pd.read_csv(RESULTS / "runs.csv")
     if not complete(runs):
         raise UserError(f"no task of {RESULTS / 'runs.csv'} has all arms and seeds yet")

@@ -1,13 +1,13 @@
-"""Ten seeds of an older version of this package against ten of this one, of equal length.
+"""Compare ten seeds of an older version of this package with ten of this one, at equal length.
 
     git worktree add ../before 81307c5
     python benchmarks/ten_seeds.py --before ../before --out FOLDER
 
-Trains three algorithms on three tasks on both sides, where FOLDER lacks them, and compares all
-measures that a report shows, besides the mean return of training's last third. The rule: seeds are
+Trains three algorithms on three tasks with both versions, unless FOLDER has the runs, and compares
+all measures that a report shows, and the mean return of training's last third. The rule: seeds are
 disjoint, so that the two sets are independent; a permutation test of equal means for each measure,
 algorithm and task, exact over all 184 756 divisions; Holm's correction over all tests of the table.
-The versions are told apart where a corrected p value is at most 0.05.
+The versions differ where a corrected p value is at most 0.05.
 """
 
 import argparse
@@ -26,11 +26,11 @@ GOAL = "SafetyPointGoal1-v0"
 STEPS = {"Circle2D-1-v0": 100_000, "Circle2D-2-v0": 100_000, GOAL: 30_000}
 SEEDS = {"before": range(10), "now": range(100, 110)}
 LEARNS = ["--random-steps", "5000", "--gradient-steps", "100"]
-"""For SAC-Lag on PointGoal1: by its preset most of so short a training is random actions."""
+"""For SAC-Lag on PointGoal1: with the preset, most actions of so short a training are random."""
 
 
 def train(out, algorithm, task, side, checkout):
-    """The ten runs of a side, in a folder of their own."""
+    """Train the ten runs of a side, unless done; return their folder."""
     folder = out / f"{algorithm} {task} {side}"
     if not (folder / "results.npz").exists():
         command = ["resume", str(folder)]
@@ -46,7 +46,7 @@ def train(out, algorithm, task, side, checkout):
 
 
 def measures(folder):
-    """The measures of a folder's runs: a row for each run."""
+    """Return the measures of a folder's runs, a row for each run."""
     runs = agents.load_runs(folder)
     frame = runs.to_pandas()
     part = frame["part"].map(lambda end: "" if np.isnan(end) else f" to {end:.2f}")
@@ -59,7 +59,7 @@ def measures(folder):
 
 
 def main():
-    """Train what is not there, and print the table."""
+    """Train what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--before", required=True, metavar="CHECKOUT", help="of the older version")
     parser.add_argument("--out", required=True, type=Path)
@@ -86,9 +86,9 @@ def main():
     p = np.array([row[-1] for row in rows])
     low, most = (p <= 0.05).sum(), (corrected <= 0.05).sum()
     print(
-        f"\n{len(p)} tests: of {low} p is at most 0.05, {0.05 * len(p):.1f} are to be expected of"
+        f"\n{len(p)} tests: p is at most 0.05 in {low}, where {0.05 * len(p):.1f} are expected of"
     )
-    print(f"equal versions; after Holm's correction of {most}.")
+    print(f"equal versions; after Holm's correction in {most}.")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Environment steps a second of training, beside a plain one-run loop and what a core allows.
+"""Environment steps per second of training: ours, a plain one-run loop, and the limit of a core.
 
-Every measurement has a process of its own, so that none has another's settings. What is timed, in
-CPU seconds, begins after imports and a warm-up, and holds rollout, replay, updates and records; the
-SAC family takes a gradient step for every step. Turns go through all measurements, so that a ratio
-is of neighbours; ratios and speeds are medians over turns. The limit is what the matrix products of
-an epoch alone would allow, at the best speed of a batched product that this core has shown in the
-same run, and MuJoCo's steps where the task has them.
+Every measurement is a separate process, so that settings do not leak. The timed CPU seconds begin
+after imports and a warm-up, and include rollout, replay, updates and records; the SAC family takes
+a gradient step for every environment step. Each turn goes through all measurements, so that ratios
+are of neighbours; ratios and speeds are medians over turns. The limit is the speed of a training
+that only computed an epoch's matrix products, at the best speed of a batched product measured on
+this core in the same run, and MuJoCo's steps if the task has them.
 
 python benchmarks/training_speed.py --algorithms cpo wcsac --runs 3 12 --turns 3
 """
@@ -25,18 +25,18 @@ CIRCLE, GOAL, EPISODE = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0", 50
 TASKS = dict.fromkeys(("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"), CIRCLE) | {"ppo-lag": GOAL}
 WARM_UP = {"trpo-lag": 1_000, "cpo": 1_000, "ppo-lag": 10_000}
 STEPS = {"trpo-lag": 10_000, "cpo": 10_000, "ppo-lag": 10_000}
-"""Steps of a run before the time is taken, and timed ones; an epoch on-policy is 500 or 10,000."""
+"""Steps of a run before the timing, and timed ones; an on-policy epoch has 500 or 10,000."""
 OFF_POLICY = (300, 1_000)
 PLAIN = [name for name, task in TASKS.items() if task == CIRCLE]
 
 
 def lengths(algorithm):
-    """Steps before the time is taken, and timed ones."""
+    """Return the number of steps before the timing, and of timed ones."""
     return (WARM_UP[algorithm], STEPS[algorithm]) if algorithm in STEPS else OFF_POLICY
 
 
 def plain(algorithm):
-    """Speed of one run of the plain loop."""
+    """Return the speed of one run of the plain loop."""
     import plain_sac
     import plain_trpo
     import torch
@@ -58,7 +58,7 @@ def plain(algorithm):
 
 @contextlib.contextmanager
 def prepared(algorithm, runs):
-    """Trainer of runs as `circle2d train` trains them, but that none acts at random."""
+    """Yield a trainer of runs as in `circle2d train`, but without random actions at the start."""
     from dataclasses import replace
 
     from agents.presets import preset
@@ -77,7 +77,7 @@ def prepared(algorithm, runs):
 
 
 def lockstep(algorithm, runs, how):
-    """Speed of all runs together; how: the backend, "c++" or "numpy"."""
+    """Return the speed of all runs together; how: the backend, "c++" or "numpy"."""
     from agents.lockstep import backend
 
     backend.configure(how)
@@ -92,14 +92,14 @@ def lockstep(algorithm, runs, how):
 
 
 def counted_kernel():
-    """A kernel in NumPy that counts the operations of its matrix products."""
+    """Return a NumPy kernel that counts the operations of its matrix products."""
     from agents.lockstep import kernel
 
     class Counted(kernel.InNumpy):
         operations = 0
 
         def count(self, net, nets, rows, first):
-            """Of a product with each layer's weights; first: whether with the first layer's."""
+            """Count a product with each layer's weights; first: whether to include layer one."""
             layers = list(itertools.pairwise(net.sizes))[0 if first else 1 :]
             self.operations += 2 * nets * rows * sum(a * b for a, b in layers)
 
@@ -122,8 +122,10 @@ def counted_kernel():
 
 
 def limit(algorithm):
-    """Speed of one run if it had its matrix products alone to compute, at this core's best speed of
-    a batched product: that of the first hidden layer of 12 runs' critics; and MuJoCo's steps."""
+    """Return the speed of one run that only computed its matrix products, and MuJoCo's steps.
+
+    Products run at this core's best speed of a batched product: that of the first hidden layer of
+    12 runs' critics."""
     import safety_speed
     import torch
 
@@ -157,7 +159,7 @@ def limit(algorithm):
 
 
 def speed(algorithm, runs, how):
-    """One measurement in a process of its own; 0 runs: of the plain loop; -1: the limit."""
+    """Measure in a separate process; runs: number in lockstep, 0: the plain loop, -1: the limit."""
     command = [sys.executable, __file__, "--one", algorithm, str(runs), how]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
@@ -165,7 +167,7 @@ def speed(algorithm, runs, how):
 
 
 def table(found, algorithms, runs):
-    """Markdown; found: (algorithm, runs) -> speeds, one a turn."""
+    """Return the table as Markdown; found: (algorithm, runs) -> speeds, one per turn."""
     head = ["algorithm", "plain, 1 run"]
     for n in runs:
         head += [f"lockstep, {n} run{'s' if n > 1 else ''}", "over plain", "share of the limit"]
@@ -183,14 +185,14 @@ def table(found, algorithms, runs):
 
 
 def ratio(some, others):
-    """The median over turns."""
+    """Return the median ratio over turns."""
     return statistics.median(a / b for a, b in zip(some, others, strict=True))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--algorithms", nargs="+", choices=TASKS, default=list(TASKS))
-    parser.add_argument("--runs", nargs="+", type=int, default=[1, 12], help="numbers in lockstep")
+    parser.add_argument("--runs", nargs="+", type=int, default=[1, 12], help="runs in lockstep")
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--how", choices=["c++", "numpy"], default="c++")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)

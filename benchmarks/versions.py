@@ -1,16 +1,15 @@
-"""Training beside an older version of this package and Stable-Baselines3: CPU seconds, one core.
+"""Speed of training with this version, an older one, and Stable-Baselines3, on one core.
 
     git worktree add ../before 81307c5
     python benchmarks/versions.py --before ../before [--turns 3] [--only ppo-lag sac-lag]
 
-Prints how many times as fast as the older version, in C++ and in NumPy, trainings are: rollout,
-updates and records, after an epoch for warming up, of 1 and of 12 runs; and beside PPO and SAC of
-Stable-Baselines3, one run. Each measurement has a process of its own; sides take turns, and medians
-over turns are printed. A turn takes about a quarter of an hour with
---backends c++, half of it the older version's compilation.
-81307c5 is the last version with `torch.compile`, which it uses here. A single measurement, such as
-one of OmniSafe where it is installed: --one PPOLag SafetyPointGoal1-v0, beside --one ppo-lag
-SafetyPointGoal1-v0 1 c++.
+Prints the speed of training, in C++ and in NumPy, relative to the older version, for 1 and 12 runs,
+and of one run relative to PPO and SAC of Stable-Baselines3. Timed are CPU seconds of rollout,
+updates and records, after a warm-up epoch. Each measurement is a separate process; sides take
+turns, and medians over turns are printed. A turn takes about a quarter of an hour with --backends
+c++, half of it the older version's compilation. 81307c5 is the last version with `torch.compile`,
+which it uses here. For a single measurement, such as one of OmniSafe where it is installed: --one
+PPOLag SafetyPointGoal1-v0, to compare with --one ppo-lag SafetyPointGoal1-v0 1 c++.
 """
 
 import argparse
@@ -30,15 +29,15 @@ CASES = [
 ]
 CASES += [(name, CIRCLE) for name in ("sac-lag", "sac-lb", "wcsac")]
 EPOCHS = {GOAL: 1, CIRCLE: 10}
-"""Timed epochs of an on-policy algorithm; the SAC family's are of one episode, and four times as
-many of a single run, each with a gradient step for every step."""
+"""Number of timed epochs. Those of the SAC family are one episode, with a gradient step for every
+environment step, and a single run has four times as many."""
 STABLE_BASELINES3 = {"ppo": "PPO", "ppo-lag": "PPO", "sac": "SAC", "sac-lag": "SAC"}
 OMNISAFE = ("PPOLag", "CPO", "TRPOLag")
 EPISODE = 50
 
 
 def ours(algorithm, task, runs, how):
-    """Steps a CPU second of all runs together; how: a backend, or "before"."""
+    """Return the steps per CPU second of all runs together; how: a backend, or "before"."""
     from dataclasses import replace
 
     from agents.lockstep import backend
@@ -46,7 +45,7 @@ def ours(algorithm, task, runs, how):
     from agents.training.trainer import Trainer
 
     with contextlib.suppress(ModuleNotFoundError):
-        from agents.paper.presets import preset  # where it was
+        from agents.paper.presets import preset  # its place in older versions
     with contextlib.suppress(ModuleNotFoundError):
         from agents.presets import preset
 
@@ -68,7 +67,7 @@ def ours(algorithm, task, runs, how):
 
 
 def theirs(name, task):
-    """Those of one run of Stable-Baselines3."""
+    """Return the steps per CPU second of one run of Stable-Baselines3."""
     import gymnasium as gym
     import stable_baselines3 as sb3
     import torch
@@ -92,8 +91,8 @@ def theirs(name, task):
 
 
 def by_omnisafe(name, task):
-    """Those of one run of OmniSafe on the task here; epochs of 10,000 steps, the first to warm up.
-    What only it has is off: see `omnisafe_run.py`."""
+    """Return the steps per CPU second of one run of OmniSafe on this package's task, with epochs of
+    10,000 steps, the first to warm up. What only OmniSafe has is off: see `omnisafe_run.py`."""
     from circle2d_mj import safety_gymnasium
 
     safety_gymnasium.install()
@@ -122,7 +121,7 @@ def by_omnisafe(name, task):
 
 
 def speed(*what, checkout=None):
-    """A measurement in a process of its own, by the package of a checkout or this one's."""
+    """Measure in a separate process, with the package of a checkout, by default this one."""
     own = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     own["PYTHONPATH"] = str(Path(checkout or Path(__file__).parent.parent).resolve())
     command = [sys.executable, __file__, "--one", *map(str, what)]
@@ -131,7 +130,7 @@ def speed(*what, checkout=None):
 
 
 def row(algorithm, task, runs, options):
-    """Cells of a line of the table."""
+    """Return the cells of a line of the table."""
     turns = []
     for _ in range(options.turns):
         what = (algorithm, task, runs)
