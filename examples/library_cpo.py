@@ -1,7 +1,7 @@
-"""CPO as a later library of the paper's group has it, where that differs from CPO's own paper.
+"""CPO as in a later library of the paper's group, where it differs from the CPO paper.
 
-Source: 2BH/saferl-lib, commit 6163e2e, `saferl/algorithms/cpo/cpo.py`. Left out: its cost is a mean
-over the last 50 episodes. Results: results/library.
+Source: 2BH/saferl-lib, commit 6163e2e, `saferl/algorithms/cpo/cpo.py`. Not adopted: the library
+takes the mean cost over the last 50 episodes. Results: results/library.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from agents.trust_region import Step, StepRule, TRPOConfig, TrustRegion, dot
 
 EPS = 1e-8
 RECOVERY, BROKEN, KEPT, INSIDE = 0, 1, 2, 3
-"""The cases of the step."""
+"""Cases of the policy step."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,14 @@ class LibraryCPOConfig(TRPOConfig):
     """Hyper-parameters of the library's CPO."""
 
     residual: float = 0.1
-    """Squared norm of the residual below which conjugate gradients stop: it passes the damping."""
+    """Squared norm of the residual below which conjugate gradients stop; the library passes its
+    damping here."""
 
 
 def solve(config, problem, b):
-    """Conjugate gradients [R, P] from a point beside 0, which is also the result where b is
-    short."""
-    x = 1.4e-4 * torch.sin(1e6 * b)  # it draws numbers of deviation 1e-4: here b's digits do
+    """Solve H x = b, both [R, P], by conjugate gradients from a point close to 0; for a short b
+    this point is also the result."""
+    x = 1.4e-4 * torch.sin(1e6 * b)  # the library draws noise of deviation 1e-4; this imitates it
     rest = b - problem.product(x)
     direction, square = rest, dot(rest, rest)
     for _ in range(config.cg_iterations):
@@ -42,7 +43,8 @@ def solve(config, problem, b):
 
 
 def multipliers(q, r, s, c, delta):
-    """λ and ν [R, 1] of the dual's better branch. ν has `λc - r`, where ascent needs `λc + r`."""
+    """Return λ and ν, [R, 1], of the dual's better branch. As in the library, ν uses `λc - r`,
+    where ascent needs `λc + r`."""
     gain, room, border = q - r**2 / (s + EPS), 2.0 * delta - c**2 / s, r / (c + EPS)
 
     def below(x):
@@ -61,7 +63,7 @@ def multipliers(q, r, s, c, delta):
 
 
 def step(config, problem):
-    """Its step, from gradients of six decimals."""
+    """Compute the library's step, from gradients rounded to six decimals."""
     gradient, b = (v.round(decimals=6) for v in (problem.gradient, problem.cost_gradient()))
     norm, c, delta = dot(b, b).sqrt(), problem.excess[:, None], config.target_kl
     natural = solve(config, problem, gradient)
@@ -87,10 +89,10 @@ def step(config, problem):
 
 
 class LibraryCPO(TrustRegion):
-    """The family, with cost advantages that are standardised as well."""
+    """The trust-region family, with standardised cost advantages."""
 
     def improve(self, epoch, steps, generators):
-        """Its step, on those advantages."""
+        """Update the policy with standardised cost advantages."""
         costs = epoch.cost_advantage
         spread = (epoch.weight[:, None] * costs**2).sum(dim=-1, keepdim=True).sqrt()
         epoch = epoch._replace(cost_advantage=costs / (spread + EPS))

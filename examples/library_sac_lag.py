@@ -1,8 +1,8 @@
-"""SAC-Lag as a later library of the paper's group has it: the multiplier follows the cost critics
-at the replay's actions, which older policies took, instead of at the policy's own.
+"""SAC-Lag as in a later library of the paper's group: the multiplier follows the cost critics at
+actions from the replay buffer, taken by older policies, instead of at the current policy's actions.
 
-Source: 2BH/saferl-lib, commit 6163e2e, `saferl/algorithms/sac_lag/sac_lag.py`. It follows the mean
-of both cost critics, this the larger. Results: results/library.
+Source: 2BH/saferl-lib, commit 6163e2e, `saferl/algorithms/sac_lag/sac_lag.py`. The library follows
+the mean of both cost critics, this file the larger one. Results: results/library.
 """
 
 import agents
@@ -11,7 +11,8 @@ from agents.sac import OffPolicy
 
 
 def unchanged(config, multipliers, risks_of_replayed_actions):
-    """The actor sees the multiplier itself; a rule with this function follows those risks."""
+    """Return the multipliers for the actor, unchanged. A rule with such a function makes the
+    multipliers follow the risks of replayed actions."""
     return multipliers
 
 

@@ -15,11 +15,11 @@ class SACMWConfig(ConstrainedSACConfig):
     initial_multiplier: float = 0.1
     """Multiplier at the start; above 0."""
     gain: float = 1e-3
-    """Growth of the multiplier's logarithm in a gradient step, by unit of risk above its limit."""
+    """Growth of the multiplier's logarithm per gradient step and unit of risk above the limit."""
 
 
 def law(config, multiplier, risk):
-    """The multiplier after a gradient step, of that before [R, 32] and the risk [R, 1]."""
+    """Return the multiplier after a gradient step, [R, 32]; multiplier: before it; risk: [R, 1]."""
     return multiplier * (config.gain * (risk - config.cost_limit)).exp()
 
 

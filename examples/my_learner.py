@@ -1,8 +1,8 @@
-"""REINFORCE-State: a whole Learner, REINFORCE whose multiplier depends on the state.
+"""REINFORCE-State: a complete Learner, REINFORCE with a multiplier that depends on the state.
 
-A Gaussian policy and the multiplier `λ(s) = softplus(w·s + b)` are linear in the state. The policy
-raises `E[Σ r - λ(s) c]`, the multiplier `E[λ(s) (J_C - d)]`: λ rises where episodes above the limit
-come by.
+The mean of a Gaussian policy and the argument of the multiplier `λ(s) = softplus(w·s + b)` are
+linear in the state. The policy ascends `E[Σ r - λ(s) c]`, the multiplier `E[λ(s) (J_C - d)]`: λ
+rises in states that episodes above the limit visit.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class ReinforceConfig(Settings):
     """Hyper-parameters of REINFORCE-State."""
 
     episodes: Annotated[int, In(2)] = 10
-    """Whole episodes an epoch."""
+    """Complete episodes per epoch."""
     learning_rate: Annotated[float, In(above=0)] = 0.02
     """Step size of the policy."""
     multiplier_lr: Annotated[float, In(0)] = 0.01
@@ -34,23 +34,23 @@ class ReinforceConfig(Settings):
 
 
 def with_one(observation):
-    """Observations [..., size] with a 1 behind, for the constant of what is linear in them."""
+    """Append a 1 to observations [..., size], for the constant term of linear functions."""
     return np.concatenate([observation, np.ones((*observation.shape[:-1], 1))], axis=-1)
 
 
 def act(weights, std, observation, noise):
-    """Actions [R, N, A] of weights [R, size + 1, A] at observations [R, N, size]."""
+    """Return actions [R, N, A] for weights [R, size + 1, A] and observations [R, N, size]."""
     mean = with_one(observation) @ weights
     return (mean if noise is None else mean + std * noise).astype(np.float32)
 
 
 def to_go(values):
-    """Sums over the rest of each episode, [T, E]."""
+    """Return sums over the rest of each episode, [T, E]."""
     return np.cumsum(values[::-1], axis=0)[::-1]
 
 
 class Reinforce:
-    """R runs side by side. Each is computed alone, so that none depends on the others."""
+    """R runs side by side. Each is computed separately, so that none depends on the others."""
 
     metrics = ("multiplier",)
 
@@ -61,18 +61,19 @@ class Reinforce:
         self.multiplier = np.zeros((len(seeds), observation_size + 1))
 
     def policy(self):
-        """A function of observations and noise, which can be pickled, and does not change later."""
+        """Return a function of observations and noise; it can be pickled and never changes."""
         return partial(act, self.weights.copy(), self.config.std)
 
     def module(self, run):
-        """What `to_torch` and `export` take; it must act as `policy` does without noise."""
+        """Return the module for `to_torch` and `export`; it must act as `policy` without noise."""
         weights = torch.tensor(self.weights[run], dtype=torch.float32)
         layer = torch.nn.Linear(*weights[:-1].shape)
         layer.load_state_dict({"weight": weights[:-1].T, "bias": weights[-1]})
         return layer
 
     def explorer(self, epoch, steps):
-        """Noise by seed and epoch alone: a training goes on bit for bit after an interruption."""
+        """Return the behaviour policy. Its noise depends only on seed and epoch, so that a training
+        continues bit for bit after an interruption."""
         policy, shape = self.policy(), (self.episodes, self.weights.shape[-1])
         noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
 
@@ -83,7 +84,7 @@ class Reinforce:
         return explore
 
     def learn(self, rollout, epoch, active):
-        """Each of `metrics`, [R, 1]; NaN of a run that takes no part: it has failed or is done."""
+        """Update the active runs; return `metrics`, [R, 1], NaN for runs that failed or ended."""
         metrics = np.full((len(self.seeds), len(self.metrics)), np.nan)
         for run in np.flatnonzero(active):
             own = rollout.of(slice(run * self.episodes, (run + 1) * self.episodes))
@@ -91,7 +92,7 @@ class Reinforce:
         return metrics
 
     def _learn(self, run, own):
-        """Learn from the E episodes of a run: [T, E, ...], of which `during` says what is there."""
+        """Learn from a run's E episodes, [T, E, ...]; `during` masks the steps that exist."""
         config, state, during = self.config, with_one(own.observation), own.during
         before = state @ self.multiplier[run]
         multiplier = np.logaddexp(0.0, before)
@@ -112,7 +113,7 @@ class Reinforce:
         return np.isfinite(self.weights).all(axis=(1, 2)) & np.isfinite(self.multiplier).all(axis=1)
 
     def state_dict(self):
-        """All that a training goes on from. A policy is loaded from `actor` alone."""
+        """Return all state needed to resume a training; a policy is loaded from `actor` alone."""
         return {"actor": self.weights.copy(), "multiplier": self.multiplier.copy()}
 
     def load_state_dict(self, state):

@@ -1,4 +1,4 @@
-"""PPO-Two: PPO-Lag with a limit on each of two costs, and a task that has them."""
+"""PPO-Two: PPO-Lag with a limit on each of two costs, and a task with two costs."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ agents.register("ppo-two", agents.Algorithm("PPO-Two", PPOTwoConfig, rule, First
 
 
 class Hasty(gym.Wrapper):
-    """Circle2D-1, in which a large move has a cost of its own."""
+    """Circle2D-1 with a second cost, for large moves."""
 
     def step(self, action):
         *result, info = self.env.step(action)

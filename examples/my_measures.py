@@ -4,7 +4,7 @@ from agents.results.measures import Measure, register
 
 
 def clean(run):
-    """The share, of the training's records, one row for each episode."""
+    """Return the share, from the training's records, which have one row per episode."""
     return float((run.records.cost == 0).mean())
 
 

@@ -1,5 +1,5 @@
-"""SAC-Quantile: SAC-Lag that limits the mean of the worst quarter of the cost returns, from a cost
-critic of many outputs: quantiles, as in QR-DQN (Dabney et al. 2018)."""
+"""SAC-Quantile: SAC-Lag that limits the mean of the worst quarter of cost returns, predicted by a
+cost critic whose outputs are quantiles, as in QR-DQN (Dabney et al. 2018)."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,16 +18,16 @@ class SACQuantileConfig(SACLagConfig):
     """Hyper-parameters of SAC-Quantile."""
 
     cost_critics: Annotated[int, In(4, 200)] = 16
-    """Outputs of the cost critic, a network each: N quantiles of the cost return."""
+    """Number N of quantiles of the cost return; each is a network with one output."""
 
 
 def risk(config, values):
-    """The mean of the greatest quarter of the quantiles: values [R, N, B] -> [R, B]."""
+    """Return the mean of the greatest quarter of the quantiles: values [R, N, B] -> [R, B]."""
     return values.topk(config.cost_critics // 4, dim=1).values.mean(dim=1)
 
 
 def critic_loss(config, values, next_values, batch):
-    """The quantile regression of each output against all targets, with Huber's loss: [R]."""
+    """Return the quantile Huber loss of each output against all targets: [R]."""
     count, rest = config.cost_critics, config.discount * (1.0 - batch.cost_terminal)
     target = batch.cost[:, None] + rest[:, None] * next_values  # [R, N, B]
     error = target[:, None] - values[:, :, None]  # [R, N outputs, N targets, B]

@@ -1,4 +1,4 @@
-"""A task of one's own from Safety-Gymnasium's parts: a car among hazards and gremlins that circle.
+"""A custom task from Safety-Gymnasium's parts: a car among hazards and circling gremlins.
 
 python examples/my_suite_task.py
 circle2d train ppo-lag --import my_suite_task --task SafetyCarGauntlet-v0 --out runs/gauntlet
@@ -12,7 +12,7 @@ from circle2d_mj.safety.families import GoalTask
 
 
 class Hurry(GoalTask):
-    """The way made towards the goal, less 0.001 for every step."""
+    """Goal task whose reward is the progress towards the goal minus 0.001 for every step."""
 
     def _reward(self, before, after, met):
         return super()._reward(before, after, met) - 0.001

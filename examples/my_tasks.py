@@ -1,35 +1,35 @@
-"""A task: stay near 0; beyond 1 steps cost."""
+"""A custom task: stay near 0; steps beyond a distance of 1 cost."""
 
 import gymnasium as gym
 import numpy as np
 
 
 class StayView:
-    """The line, from left to right; grey where steps cost."""
+    """View of the line, from left to right; grey where steps cost."""
 
     extent = (-10.0, 10.0, -10.0, 10.0)  # left, right, bottom, top
     axes = ("x", "")
 
     def positions(self, observation, info):
-        """Positions [..., 2] of observations [..., 1]."""
+        """Return positions [..., 2] for observations [..., 1]."""
         return np.concatenate([observation, np.zeros_like(observation)], axis=-1)
 
     def places(self, positions):
-        """Names of the places of episode ends; [] for no names."""
+        """Return the names of the places where episodes end; [] for no names."""
         return ["middle" if abs(x) <= 1 else "outside" for x, _ in positions]
 
     def background(self, size):
-        """Paint what lies below heat and trajectories."""
+        """Paint the background of heat maps and trajectories."""
         x = np.linspace(-10, 10, size)[None, :, None]
         return np.where(abs(x) > 1, 220, 255).astype(np.uint8) + np.zeros((size, 1, 3), np.uint8)
 
     def overlay(self, picture):
-        """Paint what lies on top: nothing."""
+        """Paint what is drawn on top: nothing."""
         return picture
 
 
 class Stay(gym.Env):
-    """A point on a line that a random force pushes."""
+    """A point on a line, pushed by a random force."""
 
     view = StayView()
     observation_space = gym.spaces.Box(-10.0, 10.0, (1,), np.float32)

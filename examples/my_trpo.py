@@ -1,4 +1,4 @@
-"""TRPO-Price: TRPO-Lag with a fixed price of cost beside its multiplier."""
+"""TRPO-Price: TRPO-Lag with a fixed price of cost added to its multiplier."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ class TRPOPriceConfig(TRPOLagConfig):
     """Hyper-parameters of TRPO-Price."""
 
     price: float = 0.1
-    """Price of cost beside the multiplier."""
+    """Price of cost, added to the multiplier."""
 
 
 def advantage(config, reward_advantage, cost_advantage, multipliers):
-    """Advantages [R, B], of those of the reward [R, B] and the cost [R, 1, B]."""
+    """Combine advantages of the reward [R, B] and the cost [R, 1, B] into [R, B]."""
     weight = multipliers + config.price
     return (reward_advantage - weight * cost_advantage[:, 0]) / (1.0 + weight)
 

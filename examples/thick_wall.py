@@ -1,9 +1,9 @@
-"""Circle2D-3 with cut-outs a step less deep, so that the wall to the corridor is a step thicker.
+"""Circle2D-3 with cut-outs one step less deep, so that the wall to the corridor is a step thicker.
 
-The sizes of cut-outs are not specified in the paper. Whether results depend on ours:
-results/README.md.
+The paper does not specify the sizes of cut-outs. results/README.md tells whether results depend on
+ours.
 
-Run here:
+Run in this folder:
 
 circle2d train sac-lb --import thick_wall --task Circle2DThickWall-3-v0 --cost-limit 5 \
     --time-limit terminal --steps 500000 --seeds 0 1 2 3 4 --out runs/thick-wall
@@ -21,7 +21,7 @@ from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS, for_gym_make
 
 
 class ThickWall(Circle2DConfig):
-    """Level 3 with the corridor as it is, and all other cut-outs less deep by a full step."""
+    """Level 3 with all cut-outs but the corridor less deep by a full step."""
 
     @cached_property
     def region(self) -> CostRegion:
@@ -34,12 +34,12 @@ class ThickWall(Circle2DConfig):
 
 
 def env(**how: Any) -> gym.Env:
-    """One environment, as `gymnasium.make` asks for it."""
+    """Return one environment, for `gymnasium.make`."""
     return for_gym_make(config=ThickWall(level=3), **how)
 
 
 def vector_env(num_envs: int, **how: Any) -> Circle2DVectorEnv:
-    """Many, as `gymnasium.make_vec` asks for them."""
+    """Return a vector environment, for `gymnasium.make_vec`."""
     return Circle2DVectorEnv(num_envs, config=ThickWall(level=3), **how)
 
 

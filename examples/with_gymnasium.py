@@ -1,4 +1,4 @@
-"""Gymnasium: wrap the environment, an Env or a VectorEnv. Costs of a random policy."""
+"""Gymnasium: wrap an Env or VectorEnv to record costs, here those of a random policy."""
 
 import gymnasium as gym
 

@@ -1,4 +1,4 @@
-"""Minari: a data set that was recorded with its infos tells the costs of its steps."""
+"""Minari: a data set recorded with infos holds the cost of each step."""
 
 import gymnasium as gym
 import minari

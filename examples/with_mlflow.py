@@ -1,4 +1,4 @@
-"""MLflow: log the numbers of every epoch, and the panel at the end, into the file mlflow.db."""
+"""MLflow: log metrics of every epoch, and the panel at the end, to the file mlflow.db."""
 
 import mlflow
 

@@ -1,6 +1,6 @@
-"""Optuna: find the barrier factor of SAC-LB that gives the lowest EMCC; the steps are far too few.
+"""Optuna: find the barrier factor of SAC-LB with the lowest EMCC, here with far too few steps.
 
-SQLite would keep the study: `optuna.create_study(storage="sqlite:///study.db", ...)`.
+To keep the study, use SQLite: `optuna.create_study(storage="sqlite:///study.db", ...)`.
 """
 
 import numpy as np

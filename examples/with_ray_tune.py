@@ -1,4 +1,4 @@
-"""Ray Tune: find the barrier factor of SAC-LB that gives the lowest EMCC; the steps are too few."""
+"""Ray Tune: find the barrier factor of SAC-LB with the lowest EMCC, here with too few steps."""
 
 import numpy as np
 from ray import tune

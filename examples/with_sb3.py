@@ -1,4 +1,4 @@
-"""Stable-Baselines3: a callback records the costs, logs emcc/* to SB3's logger, gives the panel.
+"""Stable-Baselines3: a callback records costs, logs emcc/* to SB3's logger, and makes the panel.
 
 The logger writes to TensorBoard with `PPO(..., tensorboard_log=FOLDER)`, and from there to W&B with
 `wandb.init(sync_tensorboard=True)`.

@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3 with limits on the cost and on the longest streak of an episode.
 
-`LongestStreak` makes the longest streak a cost; each cost's multiplier follows its excess.
+`LongestStreak` makes the longest streak a cost; the multiplier of each cost follows its excess.
 """
 
 import gymnasium as gym
@@ -16,7 +16,7 @@ multipliers = np.zeros(2)
 
 
 class Penalised(gym.Wrapper):
-    """The reward less what the costs of the step are worth."""
+    """Wrapper that subtracts the costs of a step, weighted by multipliers, from the reward."""
 
     def step(self, action):
         observation, reward, *ends, info = self.env.step(action)
@@ -25,7 +25,7 @@ class Penalised(gym.Wrapper):
 
 
 class Lagrangian(emcc.sb3.EMCCCallback):
-    """Multipliers ascend on the excess of the rollout's episodes, and are never below 0."""
+    """Multipliers ascend on the excess of the last 20 episodes, and are never below 0."""
 
     def _on_rollout_end(self):
         super()._on_rollout_end()

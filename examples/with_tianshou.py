@@ -1,4 +1,4 @@
-"""tianshou: the collector's buffer holds the cost of every step."""
+"""Tianshou: the collector's buffer holds the cost of every step."""
 
 import gymnasium as gym
 import numpy as np

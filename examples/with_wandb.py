@@ -1,4 +1,4 @@
-"""Weights & Biases, offline: log the numbers of every epoch, and EMCC at the end."""
+"""Weights & Biases, offline: log metrics of every epoch, and EMCC at the end."""
 
 import wandb
 
