@@ -1,16 +1,16 @@
-"""Additions to the theme: marks for keyboards and screen readers, and numbers that do not break."""
+"""Additions to the theme: markup for keyboards and screen readers, and unbreakable numbers."""
 
 from __future__ import annotations
 
 import re
 
 _BODY = {
-    # Tables and code that are wider than the page scroll, so the keyboard must reach them.
+    # Tables and code wider than the page scroll, so they must be reachable by keyboard.
     r'<div class="table-wrapper': '<div tabindex="0" role="group" aria-label="Table" '
     'class="table-wrapper',
     r'(<div class="highlight"><pre)>': r'\1 tabindex="0">',
     r'<math (?=[^>]*display="block")': r'<math tabindex="0" ',
-    # Parameters of a signature, one a line: Sphinx writes a list of definitions without a term.
+    # Sphinx writes parameters of a multi-line signature as a definition list without terms.
     r'<dl>(?=\s*<dd><em class="sig-param")': r'<dl role="presentation">',
 }
 
@@ -18,7 +18,7 @@ _CODE_OR_TAG = re.compile(r"(<(pre|code)\b.*?</\2>|<[^>]*>)", re.DOTALL)
 
 
 def whole_numbers(html: str) -> str:
-    """The page with 10 000 unbreakable in text and tables; code stays, since it is copied."""
+    """Make numbers like 10 000 unbreakable in text and tables, but not in code, to be copied."""
     parts, text = [], 0
     for found in _CODE_OR_TAG.finditer(html):
         parts += [_unbroken(html[text : found.start()]), found[0]]
@@ -41,6 +41,6 @@ def _complete(app, pagename, templatename, context, doctree):
 
 
 def setup(app):
-    """Complete every page, after the theme."""
+    """Register the completion of every page, after the theme."""
     app.connect("html-page-context", _complete, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,6 +1,6 @@
-"""The API reference, made from the public names of each package and their docstrings.
+"""The API reference, generated from the public names of each package and their docstrings.
 
-The docstrings are Markdown with doctests, so they need no other reader than MyST.
+The docstrings are Markdown with doctests, so MyST can read them.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from hyperparameters import texts
 
 PACKAGES = ("agents", "circle2d_mj", "emcc")
 _NOT_SHOWN = {"__version__", "render", "sb3"}
-"""Names that are modules, or no objects of their own."""
+"""Public names that are modules or plain strings, which have no entry."""
 
 
 def pages() -> dict[str, str]:
-    """Name of a package -> its page."""
+    """Return the pages by package name."""
     return {name: _page(importlib.import_module(name)) for name in PACKAGES}
 
 
 def public(package: ModuleType) -> list[str]:
-    """The public names of a package that the reference describes."""
+    """Return the public names of a package that the reference describes."""
     return sorted((n for n in package.__all__ if n not in _NOT_SHOWN), key=str.lower)
 
 
@@ -41,7 +41,7 @@ def _page(package: ModuleType) -> str:
 
 
 def _member(module: str, name: str, member: typing.Any) -> str:
-    """The entry of a function or a class."""
+    """Return the entry of a function or a class."""
     title = f"## {name}"
     if not inspect.isclass(member):
         if callable(member):
@@ -80,7 +80,7 @@ def _signature(member: typing.Any) -> str:
 
 
 def _fields(cls: type) -> list[str]:
-    """Fields of a dataclass or named tuple and class attributes, with the text below each."""
+    """List the annotated attributes of a class, with the text below each."""
     try:
         found = texts(cls)
     except (TypeError, OSError):
@@ -99,7 +99,7 @@ def _fields(cls: type) -> list[str]:
 
 
 def _body(member: typing.Any) -> str:
-    """The docstring as MyST reads it."""
+    """Return a docstring as Markdown for MyST."""
     doc = inspect.getdoc(member) or ""
     names = _parameters(member)
     return _text(doc, names)
@@ -113,7 +113,7 @@ def _parameters(member: typing.Any) -> set[str]:
 
 
 def _text(doc: str, names: typing.Collection[str] = ()) -> str:
-    """Markdown of a docstring: doctests and indented examples as code, parameters as a list."""
+    """Format a docstring: doctests and indented examples as code, parameters as a list."""
     blocks = []
     for block in re.split(r"\n\n+", doc):
         lines = block.splitlines()
@@ -129,7 +129,7 @@ def _text(doc: str, names: typing.Collection[str] = ()) -> str:
 
 
 def _paragraph(block: str, names: typing.Collection[str]) -> str:
-    """A paragraph whose lines that begin with parameters are a list."""
+    """Format a paragraph: lines that begin with parameters become a list."""
     lines, listed, before = [], False, ""
     for line in block.splitlines():
         found = re.match(r"(\w+(?:(?:, | and )\w+)*): ", line)
@@ -156,8 +156,8 @@ def _paragraph(block: str, names: typing.Collection[str]) -> str:
             r"`\1`",
             marked,
         )
-    # An entry of its own for each parameter, and a paragraph for what is raised.
+    # A separate entry for each parameter, and a paragraph for the errors raised.
     if any(line.startswith("- ") for line in lines):
         marked = re.sub(r"(?<=[.;])\s+(?=`\w+`(, `?\w+`?)*:\s)", "\n- ", marked)
         marked = re.sub(r"(?<=\.)\s+(?=Raises |\w+Error: )", "\n\n", marked)
-    return re.sub(r"(?<!`)<(?=\w)", r"\\<", marked)  # <names> are no tags
+    return re.sub(r"(?<!`)<(?=\w)", r"\\<", marked)  # <names> are not tags

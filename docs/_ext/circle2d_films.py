@@ -1,4 +1,4 @@
-"""Films of Circle2D with a scripted agent that goes round the cost region."""
+"""Films of Circle2D with a scripted agent that moves around the cost region."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ SIZE = 300
 WAY = ((1.05, 0.6), (0.6, 1.1), (-0.6, 1.15), (-1.25, 0.5), (-1.15, 0.0), (-0.1, 0.0))
 """Places on the way into the corridor, in radii of the disc."""
 NEAR = 0.15
-"""Distance in radii at which the next place is aimed at."""
+"""Distance from a place, in radii, at which the agent aims at the next one."""
 
 
 def episode(name: str, seed: int = 3) -> tuple[Episode, object]:
-    """An episode of the scripted agent, and the view of the task."""
+    """Play an episode with the scripted agent; return it and the view of the task."""
     env = gym.make(name)
     inner = env.unwrapped
     radius, full_step = inner.config.constraint_radius, inner.config.full_step

@@ -1,4 +1,4 @@
-"""Texts of the repository that the site shows as well: each keeps its one home."""
+"""Texts from elsewhere in the repository that the site shows; they are copied when it is built."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ TEXTS = {
     "benchmarks.md": "benchmarks/README.md",
     "changelog.md": "CHANGELOG.md",
 }
-"""Page in `docs/made` -> its home."""
+"""Source file of each page in `docs/made`."""
 SHOWN = {home: f"docs/made/{name}" for name, home in TEXTS.items()} | {
-    "emcc/README.md": "docs/metric.md",  # which includes it
+    "emcc/README.md": "docs/metric.md",  # this page includes the text
     "docs/emcc_of_your_logs.ipynb": "docs/made/emcc_of_your_logs/index.md",
 }
-"""Home of a text -> the page that shows it."""
+"""Page that shows each source file."""
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(<?([^)<>\s]+)>?\)")
 
 
 def pages(root: Path) -> dict[str, str]:
-    """Name -> text of the copies."""
+    """Return the copies by name."""
     made = root / "docs" / "made"
     return {
         name: relinked(root, (root / home).read_text(encoding="utf-8"), (root / home).parent, made)
@@ -38,20 +38,20 @@ def pages(root: Path) -> dict[str, str]:
 
 
 def relinked(root: Path, text: str, folder: Path, shown: Path) -> str:
-    """A text with its links changed so that they hold on the site.
+    """Rewrite the links of a text so that they are valid on the site.
 
-    folder: of the text, in which its links hold. shown: the folder of its page.
+    folder: of the source file, from which links are valid. shown: the folder of the page.
     """
 
     def moved(found: re.Match[str]) -> str:
         picture, words, target = found.groups()
         path, mark, anchor = target.partition("#")
-        if not path or not (folder / path).exists():  # an address, or no link at all
+        if not path or not (folder / path).exists():  # a web address, or not a link
             return found[0]
         place = Path(os.path.relpath(folder / path, root)).as_posix()
         page = SHOWN.get(place, place)
         near = os.path.relpath(root / page, shown)
-        # A text without a page here is a file to be downloaded.
+        # A text without a page on the site becomes a download.
         if page.endswith(".md") and not page.startswith("docs/"):
             return f"{{download}}`{words} <{near}>`"
         return f"{picture}[{words}]({near}{mark}{anchor})"

@@ -1,4 +1,4 @@
-"""Draw the heat maps of results/physics, from the archives.
+"""Draw the heat maps of results/physics from the archives.
 
 python docs/_ext/heat_figures.py
 """
@@ -23,7 +23,7 @@ TASKS = {"Circle2D-{}-v0": "kinematic", "Circle2DMuJoCo-{}-v0": "with physics"}
 
 
 def physics(kinematic: Path, with_physics: Path, level: int, third: int, picture: Path) -> None:
-    """The paper's algorithms without and with physics, in a third of training on a level."""
+    """Draw the paper's algorithms without and with physics, in a third of training on a level."""
     groups = by_folder(kinematic) | by_folder(with_physics)
     views = [Circle2DView(Circle2DConfig(level=level))] * len(TASKS)
     columns = []
@@ -35,7 +35,7 @@ def physics(kinematic: Path, with_physics: Path, level: int, third: int, picture
 
 
 def by_folder(archive: Path) -> dict[str, Group]:
-    """The groups of an archive."""
+    """Return the groups of an archive by folder."""
     return {group.folder: group for group in read_groups([archive], [])}
 
 

@@ -23,12 +23,12 @@ SIZE = 320
 
 
 def group(archive: str, folder: str) -> Group:
-    """The runs of a folder of an archive."""
+    """Return the group of runs in a folder of an archive."""
     return read_groups([RESULTS / archive / folder], [])[0]
 
 
 def column(title: str, cells: list[tuple[Group, int]]) -> HeatColumn:
-    """The heat maps of some groups, each in one third of training, below each other."""
+    """Return a column of heat maps, of a group in one third of training each."""
     views = [view_of(own.task, own.config.task_parameters) for own, _ in cells]
     return HeatColumn(title, views, [own.visits()[third] for own, third in cells])
 
@@ -49,7 +49,7 @@ def write_physics(name: str, archive: str, level: int, third: int) -> None:
 
 
 def main() -> None:
-    """Write all of them."""
+    """Write all pictures."""
     columns = []
     for own in FIVE:
         runs = group("circle2d/runs.zip", f"Circle2D-1-v0/{own}")

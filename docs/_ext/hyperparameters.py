@@ -1,4 +1,4 @@
-"""Tables of the algorithms' hyper-parameters, made from their dataclasses."""
+"""Tables of the algorithms' hyper-parameters, generated from their dataclasses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agents.presets import preset
 
 
 def tables() -> dict[str, str]:
-    """Name of an algorithm -> table of its hyper-parameters in Markdown."""
+    """Return tables of hyper-parameters in Markdown, by algorithm."""
     return {name: _table(name) for name in ALGORITHMS}
 
 
@@ -31,7 +31,7 @@ def _table(name: str) -> str:
 
 
 def texts(cls: type) -> dict[str, str]:
-    """The text below each field that a class itself declares, by name."""
+    """Return by name the text below each field that the class itself, not a base, declares."""
     (definition,) = ast.parse(dedent(inspect.getsource(cls))).body
     return {
         ast.unparse(field.target): " ".join(ast.literal_eval(text.value).split())
@@ -45,5 +45,5 @@ def _texts(cls: type) -> dict[str, str]:
 
 
 def _words(value: object) -> str:
-    """A value as one types it."""
+    """Return a value as typed on the command line."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)

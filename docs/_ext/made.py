@@ -1,7 +1,7 @@
-"""Pages that are made from the code whenever the site is built, so that they cannot drift.
+"""Pages generated from the code whenever the site is built, so that they are always up to date.
 
-They go to `docs/made`: tasks, hyper-parameters, API reference, the notebook, and copies of texts
-that live elsewhere in the repository.
+They are written to `docs/made`: tasks, hyper-parameters, API reference, the notebook, and copies of
+texts from elsewhere in the repository.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def make(folder: Path) -> None:
-    """Write all pages into a folder that lies two levels below the repository's root."""
+    """Write all pages into a folder two levels below the repository's root."""
     shutil.rmtree(folder, ignore_errors=True)
     for name, text in pages().items():
         path = folder / name
@@ -31,7 +31,7 @@ def make(folder: Path) -> None:
 
 
 def pages() -> dict[str, str]:
-    """Name -> text of the pages that are text alone."""
+    """Return by name the pages that consist only of text."""
     found = {f"tasks/{name}.md": text for name, text in task_pages.pages().items()}
     found |= {f"hyperparameters/{name}.md": text for name, text in hyperparameters.tables().items()}
     found |= {f"api/{name}.md": text for name, text in api_pages.pages().items()}
@@ -39,10 +39,10 @@ def pages() -> dict[str, str]:
 
 
 def on_site(name: str, text: str) -> str:
-    """The text of a page of `docs` as the site has it, which a clone holds without what is made.
+    """Return a page of `docs` as the site shows it, completed by generated parts.
 
-    Links to texts of the repository lead to their pages, a link that is a paragraph to the metric's
-    text becomes that text, and an algorithm's page ends with its hyper-parameters.
+    Links to texts of the repository lead to their pages, a paragraph that is only a link to the
+    metric's text becomes that text, and an algorithm's page ends with its hyper-parameters.
     """
     folder = (ROOT / "docs" / name).parent
     metric = "```{include} made/metric.md\n:heading-offset: 1\n```"
@@ -59,7 +59,7 @@ def _read(app, name, source):
 
 
 def setup(app):
-    """Make the pages before Sphinx looks for pages, and complete the others as they are read."""
+    """Generate pages before Sphinx looks for pages, and complete other pages as they are read."""
     app.connect("builder-inited", lambda app: make(Path(app.srcdir) / "made"))
     app.connect("source-read", _read)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers draw by themselves: no script, no network."""
+"""Formulas as MathML, which browsers render natively: no script, no network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BARRED = re.compile(
     r"</munderover>",
     re.DOTALL,
 )
-"""A symbol with a bar and an index, which docutils puts below the symbol."""
+"""A symbol with a bar and an index, where docutils puts the index below the symbol."""
 
 
 def _write(self, node, block):

@@ -1,4 +1,4 @@
-"""A Jupyter notebook as a page: its cells are run, and what they print stands below them."""
+"""A Jupyter notebook as a page: runs the cells and shows their output below them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 
 
 def write(path: Path, folder: Path) -> None:
-    """Run a notebook and write its page, its pictures and itself, to be downloaded."""
+    """Run a notebook; write its page, its pictures, and the notebook for download."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
     for number, (source, printed, pictures) in enumerate(run(path)):
@@ -31,9 +31,9 @@ def write(path: Path, folder: Path) -> None:
 
 
 def run(path: Path) -> list[tuple[str, str, list[bytes]]]:
-    """Markdown, printed text and pictures (PNG) of each cell, run in order in an empty folder.
+    """Run the cells in order in an empty folder; return Markdown, printed text and PNGs of each.
 
-    An exception of a cell is passed on.
+    Exceptions of cells propagate.
     """
     names: dict[str, Any] = {"__name__": "__main__"}
     found, here = [], os.getcwd()
@@ -53,7 +53,7 @@ def run(path: Path) -> list[tuple[str, str, list[bytes]]]:
 
 
 def _run_cell(source: str, names: dict[str, Any]) -> tuple[str, list[bytes]]:
-    """Text that a cell prints, its last expression as Jupyter shows it, and its figures."""
+    """Run a cell; return the printed text, with the last expression as in Jupyter, and figures."""
     import matplotlib as mpl
     import matplotlib.pyplot as plt
 

@@ -1,12 +1,12 @@
-"""OmniSafe's trainings and ours beside each other: the table and the figure of results/omnisafe.
+"""Comparison of OmniSafe's trainings with ours: the table and the figure of results/omnisafe.
 
 python docs/_ext/omnisafe_parity.py [FOLDER]
 
-The folder holds the trainings of `benchmarks/omnisafe_run.py`, both sides'; their records are taken
-in first. Rules, written before the runs were looked at: J_R and J_C are means over the last tenth
-of a run's episodes. A measure is *equal* where an equivalence test tells that the means are less
-than a tenth of OmniSafe's return, or 5 of cost, apart; *different* where a permutation test tells
-that they are not the same; else *undecided*. Each test at .05, not corrected.
+The folder holds the trainings of both sides in `benchmarks/omnisafe_run.py`; with it, their records
+are imported first. Rules, written before the runs were looked at: J_R and J_C are means over the
+last tenth of a run's episodes. A measure is *equal* if an equivalence test shows that the means
+differ by less than a tenth of OmniSafe's return, or by less than 5 in cost; *different* if a
+permutation test shows a difference; otherwise *undecided*. Each test at .05, not corrected.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ PAIRS = {
     "CPO": ("cpo", "cpo"),
     "CPO as there": ("cpo", "cpo-omnisafe"),
 }
-"""Folders that are compared, on OmniSafe's side and on ours."""
+"""Compared algorithms: names of OmniSafe's trainings and of ours."""
 EPISODES = 10
-"""Episodes of an epoch, which is a rollout."""
+"""Episodes per epoch, that is per rollout."""
 OF_RETURN, OF_COST = 0.1, 5.0
 FINAL = {"J_R": 1, "J_C": 1, "cost_rate": 3}
 """Measures and their digits."""
@@ -45,7 +45,7 @@ Runs = Sequence[EpisodeRecords]
 
 
 def take_in(folder: Path) -> None:
-    """Write the records of all trainings in the folder's `omnisafe` and `ours`."""
+    """Import the records of all trainings in the folder's `omnisafe` and `ours`."""
     for path in sorted((folder / "omnisafe").glob("*/steps.npz")):
         steps = np.load(path)
         ends = np.flatnonzero(steps["end"]) + 1
@@ -53,21 +53,21 @@ def take_in(folder: Path) -> None:
         own = EpisodeRecords.from_costs(steps["cost"], lengths, steps["reward"], rollouts)
         own.save(RECORDS / "omnisafe" / f"{path.parent.name}.csv")
     sys.path.append(str(RESULTS.parent / "benchmarks"))
-    importlib.import_module("omnisafe_cpo")  # which registers it
+    importlib.import_module("omnisafe_cpo")  # registers the algorithm
     for group in read_groups([folder / "ours"], []):
         for run in group.runs:
             run.records.save(RECORDS / "ours" / f"{group.config.algorithm}-{run.seed}.csv")
 
 
 def runs(side: str, name: str) -> Runs:
-    """The runs of an algorithm on one side, by seed."""
+    """Return the runs of an algorithm on one side, sorted by seed."""
     paths = (RECORDS / side).glob(f"{name}-*.csv")
     seeds = {int(m[1]): p for p in paths if (m := re.fullmatch(rf"{name}-(\d+)", p.stem))}
     return [EpisodeRecords.load(path) for _, path in sorted(seeds.items())]
 
 
 def measured(found: Runs) -> dict[str, NDArray[np.float64]]:
-    """Each measure of each run."""
+    """Return each measure of each run, [runs]."""
     last = [run.select(np.arange(len(run)) >= len(run) * 9 // 10) for run in found]
     columns = [
         [run.reward.mean() for run in last],
@@ -79,7 +79,7 @@ def measured(found: Runs) -> dict[str, NDArray[np.float64]]:
 
 
 def compared(theirs: NDArray, ours: NDArray, margin: float) -> str:
-    """The verdict with the p value that decides: of equivalence, or of equal means."""
+    """Return the verdict with the deciding p value, of equivalence or of equal means."""
     sides = theirs.tolist(), ours.tolist()
     verdict = equal(*sides, margin, 1)
     p = p_of(*sides) if verdict == "not reproduced" else equivalence_of(*sides, margin)
@@ -88,15 +88,15 @@ def compared(theirs: NDArray, ours: NDArray, margin: float) -> str:
 
 
 def verdicts(theirs: Mapping[str, NDArray], ours: Mapping[str, NDArray]) -> tuple[str, str]:
-    """Verdicts on J_R and J_C."""
+    """Return the verdicts on J_R and J_C."""
     margins = {"J_R": OF_RETURN * abs(float(theirs["J_R"].mean())), "J_C": OF_COST}
     j_r, j_c = (compared(theirs[name], ours[name], m) for name, m in margins.items())
     return j_r, j_c
 
 
 def omnisafe() -> list[str]:
-    """Rows of means with ranges: OmniSafe's runs above ours of the same algorithm, ours with the
-    verdicts on J_R and J_C."""
+    """Return rows of means with ranges: for each algorithm OmniSafe's runs above ours, which have
+    the verdicts on J_R and J_C."""
     rows = []
     for name, folders in PAIRS.items():
         theirs, ours = (measured(runs(*pair)) for pair in zip(SIDES, folders, strict=True))
@@ -113,7 +113,8 @@ def _row(title: str, values: Mapping[str, NDArray], told: tuple[str, str]) -> st
 
 
 def figure() -> None:
-    """Return, cost and MCC of each epoch: a line for each run, means thick."""
+    """Draw return, cost and MCC of each epoch: a line for each run, and a thick one for the
+    mean."""
     rows = {"return of an episode": "reward", "cost of an episode": "cost", "MCC of an epoch": ""}
     with drawing() as pyplot:
         drawn, axes = pyplot.subplots(len(rows), len(PAIRS), figsize=(10, 7.5), sharex=True)
@@ -137,7 +138,7 @@ def figure() -> None:
 
 
 def _curve(run: EpisodeRecords, values: str) -> NDArray[np.float64]:
-    """The mean of a column over each epoch's episodes; without one the epochs' MCC."""
+    """Return the mean of a column over each epoch's episodes, or the epochs' MCC if it is ""."""
     if not values:
         return run.mcc_per_rollout()[0]
     return getattr(run, values).reshape(-1, EPISODES).mean(axis=1)

@@ -1,4 +1,4 @@
-"""Films of MuJoCo's own frames, which need OpenGL, and are kept."""
+"""Films of MuJoCo's own frames; they are in the repository, since drawing them needs OpenGL."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIZE, STEPS = 320, 30
 
 
 def frames(task: str, **parameters: object) -> list[Image.Image]:
-    """An agent that presses against the region, slides along it, and lets go."""
+    """Return frames of an agent that presses against the region, slides along it, and lets go."""
     env = gym.make(task, render_mode="rgb_array", **parameters)
     env.reset(seed=3)
     drawn = []

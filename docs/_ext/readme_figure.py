@@ -1,5 +1,5 @@
 """Draw figures from reports' numbers: cost rate against EMCC, a dot for each run, and the
-benchmark's ranks by either.
+benchmark's ranks by each of the two.
 
 python docs/_ext/readme_figure.py
 """
@@ -28,20 +28,19 @@ PICTURE = RESULTS / "pictures" / "cost-rate-emcc.png"
 SAFETY = RESULTS / "pictures" / "safety-tasks.png"
 RANKS = RESULTS / "pictures" / "ranks.png"
 APART = 0.55
-"""Ranks between two names, at least, so that they can be read."""
+"""Least distance between two names, in ranks, so that they can be read."""
 
 ORDER = [algorithm.title for algorithm in ALGORITHMS.values()]
 
 
 def look(name: str) -> dict[str, str]:
-    """Colour and marker of an algorithm in reports."""
+    """Return colour and marker of an algorithm, as in reports."""
     place = ORDER.index(name)
     return {"color": COLOURS[place % len(COLOURS)], "marker": MARKERS[place % len(MARKERS)]}
 
 
 def draw(lines: Mapping[str, pd.DataFrame], picture: Path) -> None:
-    """Write the figure, in the colours and markers of reports: a panel for each title, two in a
-    row, a dot for each run of the presets."""
+    """Draw a panel for each title, two per row, with a dot for each run with preset settings."""
     rows, columns = -(-len(lines) // 2), min(2, len(lines))
     figure = plt.figure(figsize=(2 + 4.2 * columns, 3.6 * rows), layout="constrained")
     drawn = {}
@@ -70,8 +69,8 @@ def draw(lines: Mapping[str, pd.DataFrame], picture: Path) -> None:
 
 
 def draw_ranks(picture: Path) -> None:
-    """Write the benchmark's mean ranks by the cost rate, left, and by late EMCC, right, a line for
-    each algorithm."""
+    """Draw a line for each algorithm, from its mean rank by the cost rate, left, to that by late
+    EMCC, right."""
     ranks = {name: (mean_rank(b), mean_rank(a)) for name, (a, b) in baseline_ranks().items()}
     by_rate, by_emcc = (apart([both[side] for both in ranks.values()]) for side in (0, 1))
     figure, axes = plt.subplots(figsize=(7, 5.6))
@@ -90,7 +89,7 @@ def draw_ranks(picture: Path) -> None:
 
 
 def apart(heights: Sequence[float]) -> list[float]:
-    """The heights moved down where they would be closer than `APART` to the one above."""
+    """Move heights down where they would be closer than `APART` to the one above."""
     moved, last = list(heights), -np.inf
     for k in np.argsort(heights, kind="stable"):
         moved[k] = last = max(heights[k], last + APART)

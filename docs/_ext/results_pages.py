@@ -1,6 +1,6 @@
-"""Pages of results/, made from templates and the reports' numbers.
+"""Pages of results/ that are generated from templates and the reports' numbers.
 
-python docs/_ext/results_pages.py writes the pages.
+python docs/_ext/results_pages.py
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def share(chosen: pd.Series, words: str = " runs") -> str:
-    """How many of some runs, with the interval of their share."""
+    """Return how many runs are chosen, with the interval of their share."""
     ends = emcc.share(int(chosen.sum()), len(chosen))
     counted = f"{results_table.count(chosen)}{words}"
     return f"{counted} [{results_table.short(ends.low)}, {results_table.short(ends.high)}]"
 
 
 def of_all(chosen: pd.Series) -> str:
-    """How many, where there is one that is not."""
+    """Return how many are chosen: "all N" or "K of N"."""
     return f"all {len(chosen)}" if chosen.all() else results_table.count(chosen)
 
 
 def fisher(a: pd.Series, b: pd.Series) -> str:
-    """The p value of Fisher's exact test on the runs of two sides."""
+    """Return the p value of Fisher's exact test on the runs of two sides."""
     table = [[int(side.sum()), int((~side).sum())] for side in (a, b)]
     return results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
 
 
 Runs = Callable[[str], pd.DataFrame]
-"""Some runs of an algorithm on a task."""
+"""Runs of an algorithm on the given task."""
 
 
 def distances(algorithm: str, sides: Mapping[str, Runs]) -> pd.DataFrame:
-    """How far means are from what the paper prints for an algorithm, to its two digits: a column
-    for each side, a row for each level and measure, which is the index."""
+    """Return how far means are from the paper's numbers for an algorithm, to their two digits: a
+    column for each side, and a row for each level and measure, indexed by measure."""
     found = []
     for task in LEVELS:
         printed = paper(report("circle2d"), task, algorithm)[MEASURES].iloc[0]
@@ -56,7 +56,7 @@ def distances(algorithm: str, sides: Mapping[str, Runs]) -> pd.DataFrame:
 
 
 def numbers_of_library() -> dict[str, Any]:
-    """CPO as in a later library beside its preset, units of length alone, and the paper."""
+    """Return the numbers of results/library: the later library's choices, presets and the paper."""
     lines = report("circle2d")
     sides: dict[str, Runs] = {
         "preset": lambda task: runs(lines, task, "CPO"),
@@ -98,11 +98,11 @@ def numbers_of_library() -> dict[str, Any]:
 
 
 PAGES = {"library": numbers_of_library}
-"""The numbers of each page, a folder of results/."""
+"""Function for the numbers of each page, named by its folder in results/."""
 
 
 def made(name: str) -> str:
-    """The text of a page."""
+    """Return the text of a page."""
     loader = FileSystemLoader(TEMPLATES)
     templates = Environment(loader=loader, undefined=StrictUndefined, keep_trailing_newline=True)
     words = {"share": share, "fisher": fisher, "count": results_table.count, "of_all": of_all}

@@ -1,4 +1,4 @@
-"""The tables of the pages of results/, from the reports' numbers.
+"""Tables for the pages of results/, from the reports' numbers.
 
 python docs/_ext/results_table.py
 """
@@ -22,23 +22,23 @@ from agents.results.reading import read_groups
 
 Key = TypeVar("Key", bound=Hashable)
 Levels = Sequence[pd.DataFrame]
-"""The runs of each level."""
+"""Runs by level."""
 RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 SAFETY_MEASURES = (*EMCC, "cost_rate")
 MEASURES = [*SAFETY_MEASURES, "J_R", "J_C", "CVaR_0.5"]
-"""All that the paper prints."""
+"""All measures that the paper prints."""
 LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
 PHYSICS = {f"Circle2DMuJoCo-{level}-v0": f"Circle2D-{level}-v0" for level in range(4)}
-"""Levels of the grid with physics, and the same without."""
+"""Tasks with physics, and the same levels without physics."""
 ALGORITHMS = tuple(map(algorithms.title, PAPER_ALGORITHMS))
 LIMIT, SAFETY_LIMIT, STEPS = 5.0, 25.0, 1_000_000
 BENCHMARK_STEPS = " (1,000,000 steps)"
-"""Behind the names on SafetyPointGoal1-v0, where the paper's runs are ten times as long."""
+"""Suffix of names on SafetyPointGoal1-v0, where the paper's runs are ten times as long."""
 OFF_POLICY = "SAC|CAL"
-"""In the names of the off-policy algorithms alone."""
+"""Pattern that matches only names of off-policy algorithms."""
 FORCES = (110.0, 330.0)
-"""Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
+"""Half of the servo's greatest force along an axis, and a force that only impacts reach, N."""
 POINT_CIRCLE = "circle2d_mj/SafetyPointCircle1-v0"
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
 HOPPER = "circle2d_mj/SafetyHopperVelocity-v1"
@@ -53,8 +53,8 @@ SAFETY_TASKS = {
     POINT_BUTTON: ("button-nine.zip", "button-others.zip"),
     CAR_GOAL: ("car.zip",),
 }
-"""Those of the benchmark and their archives; the first gave the questions that the others are
-asked."""
+"""The benchmark's Safety tasks and their archives; the hypotheses tested on the others come from
+the first."""
 LIBRARY = {
     "CPO": "CPO-library (input_scale 15.0)",
     "CPO, solved": "CPO-library (input_scale 15.0, residual 1e-10)",
@@ -62,7 +62,7 @@ LIBRARY = {
     "SAC-LB": "SAC-LB (time_limit bootstrap, reward_scale running)",
     "WCSAC": "WCSAC (variance_target unsquared, damping_gradient through)",
 }
-"""Names of runs as in the later library of the paper's group, by their titles on its page."""
+"""Names of runs with settings of the paper group's later library, by their titles on the page."""
 SGD = "TRPO-Lag (multiplier_optimizer sgd)"
 TERMINAL = "{} (time_limit terminal)"
 UNITS = "SAC-LB (input_scale 15.0)"
@@ -77,7 +77,7 @@ PARTS = {
     "without-speed": "its own step sizes and batches",
     "margin": "streak cost, but with a margin: a limit of 3.5",
 }
-"""Parts that SAC-LB-Streak was trained without, by the ends of its folders' names."""
+"""Parts that SAC-LB-Streak was trained without, by the suffix of the folder's name."""
 NESTED = {
     "units of length": UNITS,
     "+ streak cost": "SAC-LB (input_scale 15.0, streak_weight 0.25)",
@@ -90,85 +90,85 @@ NESTED = {
     "novelty_bonus 1.0, streak_weight 0.25)",
     "+ random share, brown noise: all": "SAC-LB-Streak",
 }
-"""SAC-LB with ever more parts of SAC-LB-Streak, by their names on the page."""
+"""SAC-LB with more and more parts of SAC-LB-Streak, by their names on the page."""
 
 
 @functools.cache
 def report(grid: str) -> pd.DataFrame:
-    """The lines of a grid's report.csv."""
+    """Return the lines of a grid's report.csv."""
     return pd.read_csv(RESULTS / grid / "report.csv")
 
 
 def runs(lines: pd.DataFrame, task: str, algorithm: str) -> pd.DataFrame:
-    """The runs of an algorithm, named as in the report, on a task."""
+    """Return the runs of an algorithm, named as in the report, on a task."""
     return lines[(lines.kind == "run") & (lines.task == task) & (lines.algorithm == algorithm)]
 
 
 def paper(lines: pd.DataFrame, task: str, algorithm: str) -> pd.DataFrame:
-    """The line of the paper's numbers."""
+    """Return the line with the paper's numbers."""
     at = (lines.kind == "paper") & (lines.task == task) & (lines.algorithm == algorithm)
     return lines[at]
 
 
 def within(found: pd.DataFrame) -> pd.Series:
-    """Whether each run keeps the limit."""
+    """Whether each run satisfies the cost limit."""
     return found.J_C <= LIMIT
 
 
 def solved(found: pd.DataFrame) -> pd.Series:
-    """Whether each run ends in the corridor within the limit."""
+    """Whether each run ends in the corridor and satisfies the cost limit."""
     return found.ends_in.fillna("").str.startswith("corridor") & within(found)
 
 
 def count(chosen: pd.Series) -> str:
-    """How many of the runs."""
+    """Return how many runs are chosen, as "K of N"."""
     return f"{int(chosen.sum())} of {len(chosen)}"
 
 
 def short(value: float, digits: int = 2) -> str:
-    """A number without the 0 before its point."""
+    """Return a number without the 0 before the decimal point."""
     text = f"{round(float(value), digits) + 0.0:.{digits}f}"  # no -0
     return text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
 
 
 def p_value(value: float) -> str:
-    """A p value in words."""
+    """Return a p value in words."""
     if value < 0.001:
         return "p < .001"
     return "p = 1" if value > 0.9995 else f"p = {short(value, 3)}"
 
 
 def holm(tests: Mapping[Key, float]) -> dict[Key, float]:
-    """The p values of a table's tests, corrected for their number."""
+    """Return the p values of a table's tests, corrected for their number by Holm's method."""
     return dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
 
 
 def difference(usual: Levels, other: Levels, measure: str) -> tuple[float, float]:
-    """How much higher a mean over levels is in the other runs, with the p value of a permutation
-    test in which runs are exchanged within a level."""
+    """Return how much higher a mean over levels is in the other runs, and the p value of a
+    permutation test that exchanges runs within levels."""
     sides = [np.transpose([own[measure].to_numpy() for own in side]) for side in (usual, other)]
     p = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
     return sides[1].mean() - sides[0].mean(), p
 
 
 def gap_cells(sides: Mapping[Key, tuple[Levels, Levels]]) -> dict[Key, list[str]]:
-    """By key, how much higher the means over levels of `SAFETY_MEASURES` are on the second side;
-    in brackets p values as in `difference`, corrected for all keys and measures (Holm)."""
+    """Return by key how much higher the means over levels of `SAFETY_MEASURES` are on the second
+    side, with p values as in `difference`, corrected for all keys and measures (Holm)."""
     found = {(k, m): difference(*pair, m) for k, pair in sides.items() for m in SAFETY_MEASURES}
     p = holm({key: value for key, (_, value) in found.items()})
     return {k: [f"{_gap(found[k, m][0])} ({_p(p[k, m])})" for m in SAFETY_MEASURES] for k in sides}
 
 
 def means(found: pd.DataFrame, digits: int = 2) -> list[str]:
-    """EMCC by third and cost rate, to some digits, J_R and J_C."""
+    """Return means: EMCC by third and cost rate with the given digits, J_R, and J_C."""
     mean = found[[*SAFETY_MEASURES, "J_R", "J_C"]].mean()
     thirds = " ".join(short(mean[name], digits) for name in EMCC)
     return [thirds, short(mean.cost_rate, digits), short(mean.J_R, 1), short(mean.J_C, 1)]
 
 
 def grid() -> list[str]:
-    """A row for each level and algorithm of the presets: means, the paper's in brackets, runs that
-    solve the level and runs within the limit, of ten."""
+    """Return a row for each level and algorithm with preset settings: means, with the paper's in
+    brackets, and how many of ten runs solve the level and satisfy the limit."""
     lines, rows = report("circle2d"), []
     for task in LEVELS:
         for name in ALGORITHMS:
@@ -179,8 +179,8 @@ def grid() -> list[str]:
 
 
 def later_library() -> list[str]:
-    """A row for each algorithm as in the later library and each level: means, the paper's in
-    brackets; in how many measures that mean is nearer to the paper's, in how many the preset's."""
+    """Return a row for each algorithm as in the later library and each level: means, with the
+    paper's in brackets, and the numbers of `nearer_as_later`."""
     lines, rows = report("circle2d"), []
     for title in LIBRARY:
         for task in LEVELS:
@@ -191,13 +191,13 @@ def later_library() -> list[str]:
 
 
 def runs_as_later(title: str, task: str) -> pd.DataFrame:
-    """The runs of an algorithm as in the later library; WCSAC's are in the grid's report."""
+    """Return the runs of an algorithm as in the later library; WCSAC's are in the grid's report."""
     return runs(report("circle2d" if title == "WCSAC" else "library"), task, LIBRARY[title])
 
 
 def nearer_as_later(title: str, task: str) -> tuple[int, int]:
-    """In how many measures the mean of the library's choice is nearer to the paper's number than
-    the preset's, to its two digits, and in how many the preset's is."""
+    """Count the measures in which the library's choice is nearer to the paper than the preset, and
+    those in which the preset is nearer, by means rounded to the paper's two digits."""
     lines, usual = report("circle2d"), title.split(",")[0]
     printed = paper(lines, task, usual)[MEASURES].iloc[0]
     library, preset = (
@@ -212,9 +212,9 @@ def _place(name: str) -> int:
 
 
 def safety() -> list[str]:
-    """A row for each of the paper's Safety tasks and algorithm that trained there at the paper's
-    length: means, the paper's in brackets, and runs within the limit. Second rows are of other
-    choices of what the paper does not specify."""
+    """Return a row for each of the paper's Safety tasks and algorithm with runs of the paper's
+    length: means, with the paper's in brackets, and runs that satisfy the limit. Additional rows
+    have other choices of what the paper does not specify."""
     lines, rows = report("safety"), []
     for task in (POINT_CIRCLE, POINT_GOAL, HOPPER):
         ended = map(TERMINAL.format, ALGORITHMS)
@@ -229,8 +229,8 @@ def safety() -> list[str]:
 
 
 def physics() -> list[str]:
-    """A row for each algorithm: EMCC by third on each level with physics, that without it in
-    brackets."""
+    """Return a row for each algorithm: EMCC by third on each level with physics, and in brackets
+    without physics."""
     lines, kinematic, rows = report("physics"), report("circle2d"), []
     for name in ALGORITHMS:
         pairs = [
@@ -241,10 +241,10 @@ def physics() -> list[str]:
 
 
 def physics_against_kinematic() -> list[str]:
-    """A row for each algorithm, over levels 1 to 3 and of level 0: how much higher means are with
-    physics, and the runs that solve their level and those within the limit, without physics in
-    brackets. p values: permutation tests, runs exchanged within a level, corrected for all of the
-    table (Holm)."""
+    """Return a row for each algorithm over levels 1 to 3, and one on level 0: how much higher means
+    are with physics, and the runs that solve their level and that satisfy the limit, in brackets
+    without physics. p values: permutation tests that exchange runs within levels, corrected for the
+    whole table (Holm)."""
     lines, kinematic, sides, counts = report("physics"), report("circle2d"), {}, {}
     level_0, *others = PHYSICS.items()
     levels = {"1 to 3": others, "0": [level_0]}
@@ -260,9 +260,9 @@ def physics_against_kinematic() -> list[str]:
 
 
 def forces() -> list[str]:
-    """A row for each algorithm on level 0 with physics, of all steps of training: the share with a
-    force; the force's median and 99th percentile there, and its maximum, N; and EMCC by third of
-    the steps with more than each of `FORCES`."""
+    """Return a row for each algorithm on level 0 with physics, over all steps of training: the
+    share of steps with a force; median, 99th percentile and maximum of forces above 0, N; and EMCC
+    by third, where steps with more than each of `FORCES` cost."""
     rows = {}
     for group in read_groups([RESULTS / "physics" / "level-0.zip"], []):
         runs = [run.recorded("contact_force") for run in group.runs]
@@ -279,9 +279,9 @@ def forces() -> list[str]:
 
 
 def baselines() -> list[str]:
-    """A row for each algorithm of the benchmark: means over the levels, runs that solve their
-    level and runs within the limit, and its mean rank over the levels by late EMCC and by the cost
-    rate, with 95 % intervals. In the order of the first rank."""
+    """Return a row for each algorithm of the benchmark: means over levels, runs that solve their
+    level and that satisfy the limit, and mean ranks over levels by late EMCC and by the cost rate,
+    with 95 % intervals. Rows are sorted by the first rank."""
     lines, rows = report("baselines"), []
     for name, ranks in baseline_ranks().items():
         found = pd.concat([runs(lines, task, name) for task in LEVELS])
@@ -291,8 +291,8 @@ def baselines() -> list[str]:
 
 
 def benchmarked(task: str) -> list[str]:
-    """A row for each algorithm on a Safety task: EMCC by third and cost rate, means; late EMCC, J_R
-    and J_C with their ranges; runs within the limit. In the order of the late EMCC."""
+    """Return a row for each algorithm on a Safety task: means of EMCC by third and cost rate; late
+    EMCC, J_R and J_C with ranges; runs that satisfy the limit. Rows are sorted by late EMCC."""
     digits, of_return = (3, 0) if task == HALF_CHEETAH else (2, 1)
     lines, rows = on_safety_task(task), []
     for name in lines.groupby("algorithm")["EMCC_0.99"].mean().sort_values(kind="stable").index:
@@ -306,21 +306,21 @@ def benchmarked(task: str) -> list[str]:
 
 
 def on_safety_task(task: str) -> pd.DataFrame:
-    """The benchmark's runs on a Safety task, by the names of their algorithms alone."""
+    """Return the benchmark's runs on a Safety task, with algorithms' names without a suffix."""
     lines = report("baselines/safety")
     lines = lines[(lines.kind == "run") & (lines.task == task)]
     return lines.assign(algorithm=lines.algorithm.str.removesuffix(BENCHMARK_STEPS))
 
 
 def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
-    """The lines of the twelve on-policy algorithms."""
+    """Return the lines of the twelve on-policy algorithms."""
     return lines[~lines.algorithm.str.contains(OFF_POLICY)]
 
 
 @functools.cache
 def late_costs(task: str) -> pd.DataFrame:
-    """By algorithm, in the last third of training on a Safety task, means over seeds: "rate", the
-    cost rate, and "longest", of all costs the share in their episode's longest streak."""
+    """Return means over seeds by algorithm for the last third of training on a Safety task: "rate",
+    the cost rate, and "longest", the share of costs that are in their episode's longest streak."""
     rows = []
     for group in read_groups(
         [RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []
@@ -334,16 +334,16 @@ def late_costs(task: str) -> pd.DataFrame:
 
 
 def ends(values: pd.Series, digits: int = 2) -> str:
-    """The lowest and the highest value, each with its algorithm."""
+    """Return the lowest and the highest value in words, each with its algorithm."""
     both = (values.idxmin(), values.idxmax())
     return " to ".join(f"{short(values[name], digits)} ({name})" for name in both)
 
 
 def safety_orders() -> list[str]:
-    """A row for each Safety task of the benchmark: of the twelve on-policy algorithms' means,
-    Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R; tau of
-    late EMCC and the late cost rate, and of the late costs the share in their episode's longest
-    streak. p values: two-sided, corrected for all tasks but the one that gave the questions (Holm).
+    """Return a row for each Safety task of the benchmark, from the twelve on-policy algorithms'
+    means: Kendall's tau of late EMCC and cost rate, Spearman's rho of late EMCC and J_R, tau of
+    late EMCC and late cost rate, and the range of "longest" in `late_costs`. p values: two-sided,
+    corrected (Holm) over all tasks but the first, from which the hypotheses come.
     """
     told, beside = {}, {}
     for task in SAFETY_TASKS:
@@ -372,7 +372,7 @@ def safety_orders() -> list[str]:
 
 
 def with_range(values: pd.Series | np.ndarray, digits: int) -> str:
-    """The mean, the lowest and the highest in brackets."""
+    """Return the mean, with the lowest and the highest value in brackets."""
     mean, low, high = (
         short(value, digits) for value in (values.mean(), values.min(), values.max())
     )
@@ -380,8 +380,8 @@ def with_range(values: pd.Series | np.ndarray, digits: int) -> str:
 
 
 def baseline_ranks() -> dict[str, tuple[str, str]]:
-    """The mean rank over the levels by late EMCC, and by the cost rate, with their intervals as the
-    page has them; in the order of the ranks."""
+    """Return by algorithm the mean ranks over levels by late EMCC and by the cost rate, with
+    intervals, as strings of the report; sorted by rank."""
     table = page_table("baselines", "Ranks over tasks").iloc[::2]  # the others are probabilities
     columns = table[[table.columns[0], "EMCC_0.99", "cost rate"]].to_numpy()
     found = {name.split(",")[0]: (late, rate) for name, late, rate in columns}
@@ -389,12 +389,12 @@ def baseline_ranks() -> dict[str, tuple[str, str]]:
 
 
 def mean_rank(text: str) -> float:
-    """The rank without its interval."""
+    """Return the rank without its interval."""
     return float(text.split()[0])
 
 
 def page_table(grid: str, heading: str) -> pd.DataFrame:
-    """The first table below a heading of a grid's report.md, its cells as they are written."""
+    """Return the first table below a heading of a grid's report.md, with cells as strings."""
     text = (RESULTS / grid / "report.md").read_text().split(f"## {heading}\n", 1)[1]
     lines = [line for line in text.split("\n## ", 1)[0].splitlines() if line.startswith("|")]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
@@ -402,7 +402,7 @@ def page_table(grid: str, heading: str) -> pd.DataFrame:
 
 
 def _beside(own: pd.DataFrame, other: pd.DataFrame) -> list[str]:
-    """Means of some lines, those of others in brackets."""
+    """Return means of some lines, with those of others in brackets."""
     pairs = list(zip(means(own), means(other), strict=True))
     (ours, theirs), *others = pairs
     first = f"{ours.replace(' ', '/')} ({theirs.replace(' ', '/')})"
@@ -414,8 +414,8 @@ def _counts(own: pd.DataFrame) -> str:
 
 
 def equal_rates() -> list[str]:
-    """A row for each level on which SAC-LB and SAC-LB-Streak have equal cost rates, by an
-    equivalence test with p < .001: both means of each measure."""
+    """Return a row for each level where an equivalence test shows with p < .001 that SAC-LB and
+    SAC-LB-Streak have equal cost rates: both means of each measure."""
     rows = []
     for task in LEVELS[1:3]:
         sides = (("circle2d", "SAC-LB"), ("solve", "SAC-LB-Streak"))
@@ -432,8 +432,8 @@ def equal_rates() -> list[str]:
 
 
 def solving() -> list[str]:
-    """A row for each level and judged algorithm: runs of ten that solve it, and within the limit,
-    and means."""
+    """Return a row for each level and judged algorithm: how many of ten runs solve the level and
+    satisfy the limit, and means."""
     lines, rows = report("solve"), []
     for task in (*LEVELS, *PHYSICS):
         for name in (UNITS, UNITS_WITH_PHYSICS, "SAC-LB-Streak"):
@@ -447,9 +447,9 @@ def solving() -> list[str]:
 
 
 def compared() -> list[str]:
-    """A row for each measure: its mean over the levels for SAC-LB in units of length and for
-    SAC-LB-Streak, with the p value over all levels (permutation test, runs exchanged within a
-    level), corrected for the rows (Holm)."""
+    """Return a row for each measure: means over levels for SAC-LB in units of length and for
+    SAC-LB-Streak, and the p value of a permutation test that exchanges runs within levels,
+    corrected for the number of rows (Holm)."""
     lines, both, tests = report("solve"), {}, {}
     sides = [[runs(lines, task, which) for task in LEVELS] for which in (UNITS, "SAC-LB-Streak")]
     for name in (*SAFETY_MEASURES, "mean_streak", "J_R", "J_C"):
@@ -460,9 +460,9 @@ def compared() -> list[str]:
 
 
 def parts() -> list[str]:
-    """A row for each part of SAC-LB-Streak: runs that solve their level without it, and by how much
-    means are higher without it. p values: of counts Fisher's exact test, of means
-    the permutation test over levels, either corrected for all of the table (Holm)."""
+    """Return a row for each part of SAC-LB-Streak: runs that solve their level without the part,
+    and how much higher means are without it. p values: Fisher's exact test for counts, the
+    permutation test over levels for means, each corrected for the whole table (Holm)."""
     lines, counts, sides_of, of_counts = report("solve"), {}, {}, {}
     for part in PARTS:
         levels = [task for task in LEVELS if len(_part(lines, task, f"-{part}"))]
@@ -480,8 +480,8 @@ def parts() -> list[str]:
 
 
 def nested() -> list[str]:
-    """A row for each step from SAC-LB in units of length to SAC-LB-Streak: the runs of ten that
-    solve each level, where it was trained there, and EMCC by third on level 2."""
+    """Return a row for each stage from SAC-LB in units of length to SAC-LB-Streak: how many of ten
+    runs solve each level (empty if not trained there), and EMCC by third on level 2."""
     lines, rows = report("solve"), []
     for title, name in NESTED.items():
         own = [runs(lines, task, name) for task in LEVELS]
@@ -518,7 +518,7 @@ PAGES = {
     ),
     "solve/README.md": (solving, compared, parts, nested),
 }
-"""The tables of each page whose text is written by hand; `results_pages` makes the others."""
+"""Tables of the pages whose text is written by hand; `results_pages` generates the others."""
 
 if __name__ == "__main__":
     for tables in PAGES.values():

@@ -1,4 +1,4 @@
-"""Draw the films of the Safety tasks that `docs/films` holds; needs EGL or OSMesa.
+"""Draw the films of Safety tasks in `docs/films`; needs EGL or OSMesa.
 
 python docs/_ext/safety_films.py
 """
@@ -17,19 +17,19 @@ from agents.presets import is_circle2d
 from agents.training.policy import load_policy
 
 SIZE, PICTURES, HOLD = 240, 48, 8
-"""Side of a picture, pictures, and steps from one to the next."""
+"""Side of a picture in pixels, number of pictures, and steps from one picture to the next."""
 
 
 def write(name: str, folder: Path) -> None:
-    """Write the film of the policy of `task_pages.shown_policy`, or of an agent that draws its
-    actions at random, held for some steps each."""
+    """Write the film of a task with `task_pages.shown_policy`, or without one with random actions,
+    held for several steps each."""
     env = gym.make(name, render_mode="rgb_array")
     observation, _ = env.reset(seed=5)
     env.action_space.seed(2)
     shown = task_pages.shown_policy(name.rpartition("/")[2])
     policy = load_policy(shown) if shown else None
     frames = []
-    hold = 2 if "Velocity" in name else HOLD  # a gait is faster than a way
+    hold = 2 if "Velocity" in name else HOLD  # a gait is faster than navigation
     for step in range(PICTURES * hold):
         if policy:
             action = policy(observation)
@@ -43,7 +43,7 @@ def write(name: str, folder: Path) -> None:
             observation, _ = env.reset()
     env.close()
     path = folder / f"{name.rpartition('/')[2]}.gif"
-    # One palette: viewers mix up those of single frames.
+    # A common palette: viewers mix up palettes of single frames.
     palette = frames[0].quantize(128, method=Image.Quantize.MAXCOVERAGE)  # rare colours, too
     frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=100, loop=0)

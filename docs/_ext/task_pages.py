@@ -1,4 +1,4 @@
-"""A page for each task in Gymnasium's layout, made from its environment and its docstrings."""
+"""Pages on tasks in Gymnasium's layout, generated from environments and their docstrings."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ LEVEL = {
 }
 ARGUMENTS = {
     "camera": '"top", "side" or "follow": frames that MuJoCo draws, with shadows and forces.',
-    "num_threads": "Threads that step the environments. They change no number.",
+    "num_threads": "Number of threads that step the environments; it changes no result.",
     "max_episode_steps": "Steps after which an episode is truncated.",
     "render_mode": 'None, "rgb_array" or "human". Pictures need EGL or OSMesa.',
 }
 FAMILIES = ("Goal", "Button", "Push", "Circle", "Run")
 SAFETY_PAGES = (*(f"Safety{family}" for family in FAMILIES), "SafetyVelocity")
-"""Pages of the Safety tasks, one for each family."""
+"""Pages on the Safety tasks, one for each family."""
 FILMED = {family: f"SafetyPoint{family}1-v0" for family in FAMILIES[:4]}
 FILMED |= {"Run": "SafetyCarRun0-v0", "Velocity": "SafetyHalfCheetahVelocity-v1"}
 COSTS = {
@@ -64,20 +64,20 @@ COSTS = {
     "pillars": "the agent touches a pillar",
     "out_of_boundary": "the agent is beyond a wall",
 }
-CHANGED = {kind: f"Number of {kind}, of a level that has some; 0 for none." for kind in COUNTED}
-CHANGED["half_width"] = "Half-width of the square in which all is placed, m."
+CHANGED = {kind: f"Number of {kind}, on levels that have some; 0 for none." for kind in COUNTED}
+CHANGED["half_width"] = "Half-width of the square in which everything is placed, m."
 ORIGINAL = "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](../../parity.md)."
 
 
 def shown_policy(task: str) -> str:
-    """Name of the policy in a Safety task's film: the zoo's or CPO's, where the package has one,
-    else ""."""
+    """Return the name of the policy in a Safety task's film: the zoo's or else CPO's, if the
+    package has one, else ""."""
     found = (name for name in ("zoo", "cpo") if (FOLDER / name / task).is_dir())
     return "".join(f"pretrained:{name}/{task}" for name in itertools.islice(found, 1))
 
 
 def pages() -> dict[str, str]:
-    """File name without suffix -> page."""
+    """Return the pages by file name without suffix."""
     found = {}
     for level in LEVELS:
         for name in (KINEMATIC[level], PHYSICS[level]):
@@ -89,7 +89,7 @@ def pages() -> dict[str, str]:
 
 
 def write_films(folder: Path) -> None:
-    """Write the film of every Circle2D task beside its page."""
+    """Write the film of every Circle2D task next to its page."""
     for level in LEVELS:
         for name in (KINEMATIC[level], PHYSICS[level]):
             circle2d_films.write(name, folder / f"{name}.gif")
@@ -146,7 +146,7 @@ def _family(family: str) -> str:
         for level in levels:
             name, laid = IDS[f"Safety{agent}{family}{level}"], scene(f"{family}{level}", agent)
             env = gym.spec(name).make()
-            # A kind is named by its plural where a level may have several.
+            # A kind that a level may have several of is named in the plural.
             objects = [f"{p.number} {p.kind.rstrip('s' * (p.number == 1))}" for p in laid.placed]
             shown = ", ".join(objects) or "none"
             bounds = [f"{axis} = ±{at:g} m" for axis, at in zip("xy", laid.walls, strict=False)]
@@ -173,11 +173,11 @@ def _family(family: str) -> str:
         ],
         "Reward": [_prose(task)],
         "Cost": [
-            "1.0 where any kind of cost is, else 0.0; level 0 has none.",
+            "1.0 if any kind of cost occurs, else 0.0; level 0 has none.",
             _table(("kind", "costs where"), [(f"`cost_{kind}`", COSTS[kind]) for kind in kinds]),
             _tables(NavigationTask)["info"],
         ],
-        "Start": ["At random places that keep their distances, any heading, at rest."],
+        "Start": ["At random places with minimum distances, with a random heading, at rest."],
         "End": [_end(IDS[f"SafetyPoint{family}0"]), _terminates(family)],
         "Arguments": [_safety_arguments(IDS[f"SafetyPoint{family}0"], parameters(first))],
         "Versions": ["- v0: the numbers of Safety-Gymnasium 1.0.0."],
@@ -210,14 +210,14 @@ def _velocity() -> str:
             _table(("body", "reward"), reward),
         ],
         "Cost": [
-            "1.0 above the speed limit, else 0.0. The speed is v, of Ant and Humanoid that in the "
-            "plane.",
+            "1.0 above the speed limit, else 0.0. The speed is v; for Ant and Humanoid it is the "
+            "speed in the plane.",
         ],
         "Start": ["Near rest, by the noise of gymnasium's v4."],
         "End": [
             _end(IDS["SafetyHopperVelocity"]),
-            "Hopper, Walker2d, Ant and Humanoid terminate where the torso leaves its heights, or "
-            "of the first two its tilt.",
+            "Hopper, Walker2d, Ant and Humanoid terminate when the torso's height, or for the "
+            "first two the torso's tilt, leaves the allowed range.",
         ],
         "Arguments": [_safety_arguments(IDS["SafetyHopperVelocity"])],
         "Versions": [
@@ -245,7 +245,7 @@ def _terminates(family: str) -> str:
 
 
 def _prose(cls: type) -> str:
-    """First paragraph of a docstring that is no table, in one line."""
+    """Return the first paragraph of a docstring that is not a table, as one line."""
     paragraphs = inspect.cleandoc(cls.__doc__).split("\n\n")
     at = 1 if cls is VelocityTask else 0
     return " ".join(paragraphs[at].split())
@@ -302,7 +302,7 @@ def _space(name: str, attribute: str) -> str:
 
 
 def _space_table(name: str, attribute: str, meanings: tuple[str, ...]) -> str:
-    """Bounds of each number of a space."""
+    """Return the table of bounds of each number of a space."""
     env = gym.make(name)
     space = getattr(env, attribute)
     env.close()
@@ -327,14 +327,14 @@ def _arguments(config: Circle2DConfig, env_class: type) -> list[str]:
 
 
 def _extra(names: tuple[str, ...], steps: int) -> list[tuple[str, str, str]]:
-    """Rows of the arguments that are the environments' own."""
+    """Return rows for arguments that environments add to the config's."""
     defaults = {"num_threads": 1, "max_episode_steps": steps}
     shown = (*names, "max_episode_steps", "render_mode")
     return [(f"`{name}`", f"`{defaults.get(name)!r}`", ARGUMENTS[name]) for name in shown]
 
 
 def _rows(cls: type) -> dict[str, tuple[str, str]]:
-    """First cell -> the others, of the table in a docstring."""
+    """Return the rows of the table in a docstring, by their first cell."""
     lines = [line for line in inspect.cleandoc(cls.__doc__).splitlines() if line.startswith("|")]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
     return {first: (shape, _capital(meaning)) for first, shape, meaning in cells}
@@ -344,11 +344,11 @@ def _further(rows: dict[str, tuple[str, str]]) -> list[str]:
     own = [
         f"- {key}: {rows[key][1]}" for key in rows if key.startswith("`info") and "cost" not in key
     ]
-    return ["The info holds further", "\n".join(own)] if own else []
+    return ["The info also holds", "\n".join(own)] if own else []
 
 
 def _tables(cls: type) -> dict[str, str]:
-    """First word -> table, of those in a docstring."""
+    """Return the tables in a docstring by their first heading."""
     paragraphs = inspect.cleandoc(cls.__doc__).split("\n\n")
     found = [paragraph for paragraph in paragraphs if paragraph.startswith("|")]
     plain = [

@@ -20,12 +20,12 @@ DASHED = {"color": PUBLISHED, "linewidth": 1.0, "linestyle": "--"}
 
 
 def short(task: str) -> str:
-    """A task's name without what all have in common."""
+    """Return a task's name without "Safety" and the version."""
     return task.removeprefix("Safety").rpartition("-")[0]
 
 
 def draw_curves(rows: pd.DataFrame, curves: pd.DataFrame) -> None:
-    """Return and cost in training, two panels a task."""
+    """Draw return and cost in training, two panels per task."""
     from matplotlib.ticker import EngFormatter
 
     columns = min(COLUMNS, len(rows))

@@ -1,10 +1,10 @@
-"""Put trained runs of the zoo into results/zoo (zoo.csv, curves.csv) and their policy into the
+"""Add trained runs of the zoo to results/zoo (zoo.csv, curves.csv) and one of their policies to the
 package, and print rows for the page's table.
 
 python docs/_ext/zoo_rows.py FOLDER ...
 
-The policy is that of the run whose return is nearest to the median of the runs whose deterministic
-policy keeps J_C within the task's limit.
+The policy is from the run whose return is nearest to the median of the runs whose deterministic
+policy satisfies the task's cost limit.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ ROOT = Path(__file__).parents[2]
 TABLE, POLICIES = ROOT / "results/zoo/zoo.csv", ROOT / "agents/policies/zoo"
 CURVES = ROOT / "results/zoo/curves.csv"
 WINDOW, POINTS = 10, 50
-# Of OmniSafe's benchmark (its repository, benchmarks/on-policy), after 10 000 000 steps: J_R, J_C
-# and the algorithm of the highest return within the limit, without those that end episodes at it.
+# From OmniSafe's benchmark (its repository, benchmarks/on-policy), after 10 000 000 steps: J_R, J_C
+# and the algorithm with the highest return within the limit, without algorithms that end an
+# episode at the limit.
 PUBLISHED = {
     "SafetyPointGoal1-v0": (19.24, 21.4, "TRPO-PID"),
     "SafetyPointGoal2-v0": (1.67, 23.5, "TRPO-PID"),
@@ -54,14 +55,14 @@ PUBLISHED = {
 
 @functools.cache
 def evaluated(folder: Path) -> pd.DataFrame:
-    """Mean return and cost of the last evaluation, by policy and seed."""
+    """Return mean return and cost in the last evaluation, by policy and seed."""
     frame = agents.load_runs(folder).to_pandas("evaluations")
     last = frame[frame.step == frame.groupby("seed").step.transform("max")]
     return last.groupby(["policy", "seed"])[["return", "cost"]].mean()
 
 
 def row(folder: Path) -> dict[str, Any]:
-    """The row of a folder of finished runs on one task."""
+    """Return the row of zoo.csv for a folder of finished runs on one task."""
     runs = agents.load_runs(folder)
     config = runs.config
     (task,) = (name.rpartition("/")[2] for name in config.tasks)
@@ -90,7 +91,7 @@ def row(folder: Path) -> dict[str, Any]:
 
 
 def line(folder: Path, own: Mapping[str, Any]) -> str:
-    """A row of the page's table, and the t intervals over seeds beside it."""
+    """Return a row of the page's table, and below it the t intervals over seeds."""
     config = TrainConfig.read(folder)
     means = evaluated(folder).loc["deterministic"]
     limit = limit_of(config.tasks[0])
@@ -115,8 +116,8 @@ def line(folder: Path, own: Mapping[str, Any]) -> str:
 
 
 def curves(folder: Path) -> pd.DataFrame:
-    """Return and cost of training's episodes: `POINTS` rows, the mean of the runs' means and the
-    lowest and highest of these."""
+    """Return `POINTS` rows with return and cost of training episodes: mean, lowest and highest of
+    the runs' means."""
     runs = agents.load_runs(folder)
     episodes = runs.to_pandas("episodes")
     end = episodes.start_step.max() + 1
@@ -130,7 +131,7 @@ def curves(folder: Path) -> pd.DataFrame:
 
 
 def chosen_seed(folder: Path) -> int:
-    """The seed whose policy comes with the package."""
+    """Return the seed whose policy comes with the package."""
     (task,) = TrainConfig.read(folder).tasks
     means = evaluated(folder).loc["deterministic"]
     within = means[means.cost <= limit_of(task)]["return"]
@@ -138,7 +139,7 @@ def chosen_seed(folder: Path) -> int:
 
 
 def write_policy(folder: Path, seed: int) -> None:
-    """Put the policy of a run into the package."""
+    """Add the policy of a run to the package."""
     config = TrainConfig.read(folder)
     (task,) = config.tasks
     arrays, steps, _ = read_policy_arrays(folder, config, RunId(task, seed))
@@ -151,7 +152,7 @@ def write_policy(folder: Path, seed: int) -> None:
 
 
 def write_rows(path: Path, rows: pd.DataFrame) -> None:
-    """Write rows of some tasks into a table, in place of those that it has of them."""
+    """Write rows to a table, in place of the table's rows of the same tasks."""
     if path.exists():
         old = pd.read_csv(path)
         rows = pd.concat([old[~old.task.isin(rows.task)], rows])
