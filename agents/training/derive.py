@@ -3,7 +3,7 @@
 Arrays of a run, whose names begin with its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`):
 
 - `rollouts` [rollouts]: episodes in each; `length` and `return` [episodes]
-- `costs/NAME/steps`, `/unsafe` and, unless every cost is 1, `/values`: see `pack_costs`
+- `costs/NAME/steps`, `/unsafe` and, unless every cost is 0 or 1, `/values`: see `pack_costs`
 - `info/NAME/...`: recorded numbers of each step, packed like costs, values to five digits
 - `updates` [epochs, metrics]; the file's array `metrics` has the names of the metrics
 - `failure`, `evaluation_failure`: why the run or its evaluation failed, if it did; `traceback`: of
@@ -48,7 +48,7 @@ CELLS = 80
 WINDOWS = 60
 """Number of windows, equal parts of training, in a page's replay."""
 STATES = 128
-"""About how many states of an episode a page draws; of a longer one every second, third, ..."""
+"""About how many states of an episode a page draws: of longer ones every second, third, ..."""
 BITS = 10
 """Bits of a coordinate of the replay's grid."""
 NEAR = 128

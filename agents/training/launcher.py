@@ -113,7 +113,7 @@ def launcher(
     if engine not in ("local", "ray"):
         raise UserError(f"engine must be local or ray, got {engine!r}")
     if engine == "local" and address is not None:
-        raise UserError("address is of a Ray cluster: it needs engine ray")
+        raise UserError("address is of a Ray cluster: it needs the engine ray")
     with contextlib.ExitStack() as stack:
         most, train = cores(), functools.partial(_train_here, imports=imports)
         if engine == "ray":
