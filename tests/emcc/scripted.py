@@ -1,13 +1,14 @@
-"""Environments whose costs are known, and what they gave."""
+"""Environments whose costs are known."""
 
 import gymnasium as gym
 import numpy as np
 
 
 class Scripted(gym.Env):
-    """Plays the episodes of its script over and over; odd ones are truncated, even ones terminated.
+    """Plays the episodes of its script in turn; even ones terminate, odd ones are truncated.
 
-    It observes the episode and its steps so far. A cost of 9 at reset must never count.
+    script: the costs of the steps of each episode. The observation is the number of the episode
+    and of its steps so far. The info of a reset holds a cost of 9, which must never count.
     """
 
     observation_space = gym.spaces.Box(0, 9, (2,), np.float32)
@@ -17,24 +18,36 @@ class Scripted(gym.Env):
         self.script, self.episode = script, -1
         self.reset_cost, self.step_cost = reset_cost, step_cost
 
-    def seen(self):
+    def _observation(self):
         return np.array([self.episode, self.at], np.float32)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.episode, self.at = (self.episode + 1) % len(self.script), 0
-        return self.seen(), {"cost" if self.reset_cost else "other": 9.0}
+        return self._observation(), {"cost" if self.reset_cost else "other": 9.0}
 
     def step(self, action):
         costs = self.script[self.episode]
         info = {"cost": costs[self.at]} if self.step_cost else {"other": 1.0}
         self.at += 1
         done, odd = self.at == len(costs), bool(self.episode % 2)
-        return self.seen(), 0.5, done and not odd, done and odd, info
+        return self._observation(), 0.5, done and not odd, done and odd, info
+
+
+class TwoCosts(gym.Wrapper):
+    """Adds a second cost: 1 in steps where the first is 0, otherwise 0."""
+
+    def step(self, action):
+        *rest, info = self.env.step(action)
+        return *rest, info | {"cost_2": float(info["cost"] == 0)}
 
 
 class Noisy(gym.Env):
-    """Episodes of random length and cost; its log has the number, cost, reward and end of steps."""
+    """Episodes of random length and cost.
+
+    log: a list to which each step appends (number of the environment, cost, reward, whether the
+    episode ended).
+    """
 
     observation_space = gym.spaces.Box(-1, 1, (2,), np.float32)
     action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
@@ -57,7 +70,7 @@ class Noisy(gym.Env):
 
 
 def trajectories(log):
-    """(costs, rewards) of each trajectory: those that ended, and by environment those running."""
+    """Split a log of `Noisy` into trajectories of (costs, rewards): [ended, still running]."""
     running, ended = {}, []
     for number, cost, reward, done in log:
         running.setdefault(number, []).append((cost, reward))

@@ -1,5 +1,5 @@
-"""The package on its own: `import emcc` needs numpy alone; emcc/pyproject.toml builds it; its
-wheel, with these tests, in environments of other Pythons and versions."""
+"""The package emcc by itself: importing it needs only NumPy, and its wheel passes these tests in
+environments with other versions of Python and of its dependencies."""
 
 import os
 import shutil
@@ -15,7 +15,7 @@ import emcc
 PACKAGE = Path(emcc.__file__).parent
 
 
-def test_import_loads_numpy_alone():
+def test_the_import_loads_only_numpy():
     code = (
         "import sys, numpy.random; before = set(sys.modules); import emcc; import emcc.__main__;"
         "new = {m.partition('.')[0] for m in set(sys.modules) - before};"
@@ -37,7 +37,7 @@ def test_a_missing_library_is_named(name, library, monkeypatch):
         getattr(__import__("emcc"), name)
 
 
-def test_every_public_name_is_there_and_no_other():
+def test_every_public_name_exists_and_no_function_is_named_like_a_module():
     pytest.importorskip("gymnasium", minversion="1.1")
     functions = {name for name in set(emcc.__all__) - {"sb3"} if callable(getattr(emcc, name))}
     assert not functions & {path.stem for path in PACKAGE.glob("*.py")}
@@ -47,7 +47,7 @@ def test_every_public_name_is_there_and_no_other():
 
 TESTS = Path(__file__).parent
 OLD_STACK = ("numpy==1.23.5", "gymnasium==0.28.1")
-"""Where OmniSafe's users are."""
+"""Versions that users of OmniSafe have."""
 ENVIRONMENTS = {
     "3.10, old stack": ("3.10", OLD_STACK),
     "3.11, numpy alone": ("3.11", ("numpy",)),
@@ -73,11 +73,11 @@ for _ in range(8):
 assert envs.records.cost.tolist() == [2.0] * 4, envs.records
 print(emcc.panel(env.records, limit=1.0).to_markdown())
 """
-"""With a gymnasium for which the other tests are skipped."""
+"""For the old stack, with whose gymnasium the tests of the wrappers are skipped."""
 
 
 def interpreter(version):
-    """The path of a Python of this version; None without one. pyenv's shims run PYENV_VERSION."""
+    """Return the path of a Python of this version, or None. pyenv's shims need PYENV_VERSION."""
     code, env = "import sys; print(sys.executable)", os.environ | {"PYENV_VERSION": version}
     command = shutil.which(f"python{version}")
     how = {"env": env, "capture_output": True, "text": True}
@@ -86,6 +86,7 @@ def interpreter(version):
 
 
 def run(folder, *command):
+    """Run a command, which must succeed, and return its output."""
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True)
     assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
@@ -114,7 +115,7 @@ def test_the_wheel_holds_the_package(wheel):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("version", "packages"), ENVIRONMENTS.values(), ids=ENVIRONMENTS)
-def test_alone(wheel, tmp_path, version, packages):
+def test_the_tests_pass_with_the_wheel_alone(wheel, tmp_path, version, packages):
     python = interpreter(version)
     if python is None:
         pytest.skip(f"there is no Python {version}")

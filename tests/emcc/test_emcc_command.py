@@ -1,4 +1,4 @@
-"""python -m emcc: the table of run folders and files, its status, and mistakes."""
+"""`python -m emcc`: tables of run folders and files, exit statuses, and errors."""
 
 import csv
 import io
@@ -14,12 +14,13 @@ from emcc.__main__ import main
 
 PARTS = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 DASH = "\N{EN DASH}"
-TEN = [0.1, 0.2, 0.6, 0.2, 0.3, 0.3, 0.0, 0.1, 0.9, 0.0]  # of 10 rollouts, at 0 %, 10 %, ...
-# [0, 33 %) has four, [33 %, 66 %) three, [66 %, 99 %] three of them.
+TEN = [0.1, 0.2, 0.6, 0.2, 0.3, 0.3, 0.0, 0.1, 0.9, 0.0]
+"""MCC of ten rollouts, which start at 0 %, 10 %, ... of training: four in the first third, three in
+each of the others."""
 
 
 def costs_of(mcc_values):
-    """One episode of 10 steps per rollout, with one streak and nothing else."""
+    """Return an episode of 10 steps for each MCC, whose cost steps are one streak."""
     return [np.arange(10) < round(10 * value) for value in mcc_values]
 
 
@@ -29,7 +30,7 @@ def write_run(folder, by_seed, steps=100, task="A-v0"):
 
 
 def table(capsys, *arguments, status=0):
-    """The rows of the CSV form, each by the head's names; and the lines of comments."""
+    """Run the command with `--format csv`; return its rows, by column, and its comment lines."""
     assert main([*map(str, arguments), "--format", "csv"]) == status
     lines = capsys.readouterr().out.splitlines()
     comments = [line for line in lines if line.startswith("#")]
@@ -58,7 +59,7 @@ def test_characters_that_the_encoding_lacks_are_replaced(tmp_path, monkeypatch):
 
 def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):
     emcc.EpisodeRecords.from_costs(costs_of(TEN)).save(tmp_path / "a.csv")
-    (row,), _ = table(capsys, tmp_path / "a.csv")  # alpha 0.1: of so few values the largest
+    (row,), _ = table(capsys, tmp_path / "a.csv")  # alpha 0.1 of so few values is their maximum
     assert [row[part] for part in PARTS] == ["0.600", "0.300", "0.900"]
     (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 0.5)
     assert [row[part] for part in PARTS] == ["0.400", "0.300", "0.633"]
@@ -69,8 +70,8 @@ def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):
 
 
 def test_windows_are_used_and_named(tmp_path, capsys):
-    """Windows of three rollouts, at 0, 30 and 60 %, have .6, .3 and .9, and the tenth is left over;
-    of 20 steps, of two rollouts each, .2, .6, .3, .1 and .9."""
+    """Windows of three rollouts start at 0, 30 and 60 % and have the MCCs .6, .3 and .9; the tenth
+    rollout is left over. Windows of 20 steps hold two rollouts: .2, .6, .3, .1 and .9."""
     emcc.EpisodeRecords.from_costs(costs_of(TEN)).save(tmp_path / "a.csv")
     how = tmp_path / "a.csv", "--alpha", 1
     (row,), (caption,) = table(capsys, *how, "--window", 3, status=1)
@@ -114,7 +115,7 @@ def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsy
     assert "scipy, which is not installed: pip install scipy" in capsys.readouterr().err
 
 
-def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):
+def test_each_folder_task_and_cost_has_a_row(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN})
     write_run(tmp_path / "b", {0: TEN}, task="B-v0")
     arrays = written.arrays_of(costs_of(TEN)) | written.arrays_of(costs_of([0.5] * 10), "cost_2")
@@ -125,7 +126,7 @@ def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):
     assert [row["EMCC_0.33"] for row in rows] == ["0.600"] * 3 + ["0.500"]
 
 
-def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
+def test_a_part_without_rollouts_has_a_dash_instead_of_a_number(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN}, steps=200)
     (row,), _ = table(capsys, tmp_path, "--alpha", 1, status=1)
     assert row["EMCC_0.33"] == f"{np.mean(TEN[:7]):.3f}"
@@ -141,7 +142,7 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
 def test_a_run_that_failed_is_left_out_and_named_once(tmp_path, capsys, episodes):
     both = written.arrays_of(costs_of(TEN)) | written.arrays_of(costs_of(TEN), "cost_2")
     failed = {"failure": np.array(f"failed at step {10 * episodes}: its reward is not finite")}
-    if episodes:  # all thirds have some
+    if episodes:  # with 8 of 10 episodes, every third would have a value
         for cost in ("cost", "cost_2"):
             failed |= written.arrays_of(costs_of([0.3] * episodes), cost)
     runs = {("A-v0", 0): both, ("A-v0", 1): failed}
@@ -166,7 +167,7 @@ def test_panels(tmp_path, capsys):
     assert re.search(r"\npeak cost rate \(4 episodes\) +0.500 range 0.100 to 0.900", out)
     main([str(tmp_path), "--limit", "1", "--total-steps", "100", "--per-run"])
     assert capsys.readouterr().out.count("violation rate V") == 2
-    # Of three episodes of 100 steps that cost 20, each cut by four rollouts.
+    # Three episodes of 100 steps, each of cost 20 and cut into four rollouts.
     rows = [f"{step % 5 == 0:d},{step // 100},{step // 25}" for step in range(300)]
     (path := tmp_path / "cut.csv").write_text("\n".join(["cost,episode,rollout", *rows, ""]))
     main([str(path), "--limit", "10", "--threshold", "0.5"])

@@ -1,5 +1,5 @@
-"""Record costs against the longest streak and CVaR; LongestStreak against a plain loop over
-scripted episodes, in every autoreset mode."""
+"""Record costs against the longest streak and CVaR; the wrapper LongestStreak against a plain loop
+over scripted episodes, in every autoreset mode."""
 
 from fractions import Fraction
 from functools import partial
@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hypothesis import given
 from hypothesis import strategies as st
-from scripted import Noisy, Scripted
+from scripted import Noisy, Scripted, TwoCosts
 
 from emcc import LongestStreak, RecordCosts, StreakCost, cvar, longest_streaks, streaks
 from emcc.streaks import record
@@ -28,7 +28,7 @@ SAME, DISABLED = AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
 
 
 def expected(script, above=0):
-    """For each episode the record cost, k and m after each step, by a loop."""
+    """Return (record cost, k, m) after each step of each episode, computed by a plain loop."""
     episodes = []
     for costs in script:
         streak, longest, rows = 0, 0, []
@@ -41,7 +41,7 @@ def expected(script, above=0):
     return episodes
 
 
-def test_by_hand():
+def test_record_costs_by_hand():
     costs = [0, 1, 1, 0, 2, 1, 1, 0, 1]
     assert record(costs).tolist() == [0, 1, 1, 0, 0, 0, 1, 0, 0]
     assert record(costs, above=2).tolist() == [0, 0, 0, 0, 0, 0, 1, 0, 0]
@@ -55,8 +55,8 @@ trajectories = st.lists(
 
 
 @given(trajectories, st.integers(0, 6), st.integers(1, 9))
-def test_they_add_up_to_the_longest_streak(costs, above, block):
-    """Whatever the blocks; step by step as the loop."""
+def test_record_costs_add_up_to_the_longest_streak(costs, above, block):
+    """They are also those of the plain loop in each step, whatever the size of blocks."""
     lengths = [len(own) for own in costs]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streaks, "_BLOCK", block)
@@ -68,7 +68,7 @@ def test_they_add_up_to_the_longest_streak(costs, above, block):
 
 
 @given(trajectories, st.integers(1, 20))
-def test_the_least_of_all_is_cvar_and_the_quantile_attains_it(costs, parts):
+def test_the_minimum_over_above_is_cvar_and_the_quantile_attains_it(costs, parts):
     """Rockafellar & Uryasev 2000, theorem 1, for α = parts / 20."""
     alpha, count = Fraction(parts, 20), len(costs)
     longest = [int(longest_streaks(own, [len(own)])[0]) for own in costs]
@@ -98,8 +98,8 @@ def test_one_environment(above):
         assert any(ends)
 
 
-def test_a_resetting_step_breaks_no_record():
-    """The first episode's longest streak is 2, the second one's 1."""
+def test_a_resetting_step_has_no_record_cost():
+    """The longest streak is 2 in the first episode and 1 in the second."""
     env = LongestStreak(gym.wrappers.Autoreset(Scripted([[0.0, 1.0, 1.0], [1.0, 0.0]])))
     env.reset()
     seen = [env.step(0)[4] for _ in range(7)]
@@ -147,23 +147,15 @@ def test_vector_environments(mode, above):
             waits[i] = bool(over and mode != SAME)
 
 
-class TwoCosts(Scripted):
-    """A second cost where the first is 0."""
-
-    def step(self, action):
-        *rest, info = super().step(action)
-        return (*rest, info | {"cost_2": float(info["cost"] == 0)})
-
-
 def test_several_costs():
-    """Record costs are costs of `RecordCosts`; a plain cost is followed below `StreakCost`."""
+    """RecordCosts records record costs like any cost; inside of StreakCost, the cost is plain."""
     other = [[[float(cost == 0) for cost in costs] for costs in script] for script in SCRIPTS]
-    env = LongestStreak(LongestStreak(TwoCosts(SCRIPTS[0])), cost="cost_2", observe=False)
+    env = LongestStreak(LongestStreak(TwoCosts(Scripted(SCRIPTS[0]))), cost="cost_2", observe=False)
     env = RecordCosts(StreakCost(env, 3.0), costs=("cost", "record_cost", "record_cost_2"))
     names = ("record_cost", "longest_streak", "record_cost_2", "longest_streak_cost_2")
     pairs = zip(expected(SCRIPTS[0]), expected(other[0]), strict=True)
     for first, second in pairs:
-        assert env.reset()[0].shape == (5,)  # k and m of one, k of StreakCost
+        assert env.reset()[0].shape == (5,)  # k and m of one wrapper, k of StreakCost
         for a, b in zip(first, second, strict=True):
             info = env.step(0)[4]
             assert [info[name] for name in names] == [a[0], a[2], b[0], b[2]]
@@ -172,7 +164,7 @@ def test_several_costs():
 
 
 def test_stable_baselines3():
-    """In its vector environments, which reset in the last step, and its checker."""
+    """In its vector environments, which reset in an episode's last step; its checker accepts it."""
     pytest.importorskip("stable_baselines3")
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback

@@ -1,4 +1,4 @@
-"""A Minari data set, written and read."""
+"""from_minari: records of a Minari data set are those of the episodes it was written from."""
 
 import pytest
 
@@ -36,8 +36,8 @@ def dataset(tmp_path, monkeypatch):
     return write
 
 
-@pytest.mark.filterwarnings("ignore")  # of what a data set should say beside its data
-def test_written_and_read(dataset):
+@pytest.mark.filterwarnings("ignore")  # Minari asks for more metadata
+def test_records_of_a_data_set(dataset):
     found = emcc.from_minari(dataset())
     assert found.length.tolist() == [3, 1, 4]
     assert found.cost.tolist() == [2.0, 2.0, 3.0]
@@ -53,6 +53,6 @@ def test_written_and_read(dataset):
 @pytest.mark.parametrize(
     "options", [{"step_cost": False, "reset_cost": False}, {"record_infos": False}]
 )
-def test_data_without_costs_are_named(dataset, options):
+def test_a_data_set_without_costs_is_an_error(dataset, options):
     with pytest.raises(ValueError, match="episode 0 has no 'cost'"):
         emcc.from_minari(dataset(**options))

@@ -1,4 +1,4 @@
-"""The panel of measures, against loops over steps that share nothing with the package."""
+"""The panel of measures against plain loops over steps, which share no code with the package."""
 
 import json
 import math
@@ -20,7 +20,7 @@ KINDS = {
 
 
 def streaks_of(costs):
-    """Lengths of the streaks of an episode."""
+    """Return the lengths of an episode's streaks."""
     found, running = [], 0
     for cost in [*costs, 0]:
         if cost > 0:
@@ -32,12 +32,12 @@ def streaks_of(costs):
 
 
 def highest_tenth(values):
-    """As many tenths of values as there are values, the highest first."""
+    """Return the worst tenth: every value repeated ten times, the highest len(values) of these."""
     return sorted((value for value in values for _ in range(10)), reverse=True)[: len(values)]
 
 
 def oracle(episodes, limit, window):
-    """The measures, an episode being a rollout; episodes: costs of steps."""
+    """Return the measures; each episode is a rollout. episodes: costs of steps of each."""
     sums = [math.fsum(costs) for costs in episodes]
     lengths = [len(costs) for costs in episodes]
     over = [max(total - limit, 0) for total in sums]
@@ -79,7 +79,7 @@ def records_of(episodes, **options):
 
 
 def third(episodes, low, high):
-    """Episodes that start in [low, high) % of all steps."""
+    """Return the episodes that start in [low, high) % of all steps."""
     total, start, found = sum(map(len, episodes)), 0, []
     for costs in episodes:
         if low * total <= 100 * start < high * total:
@@ -99,7 +99,7 @@ def assert_equal(measures, expected):
 @pytest.mark.parametrize("seed", range(2))
 def test_every_measure_of_training_and_of_its_thirds(kind, limit, seed):
     episodes = KINDS[kind](np.random.default_rng(seed))
-    rows = np.random.default_rng(seed).permutation(len(episodes))  # the order is that of training
+    rows = np.random.default_rng(seed).permutation(len(episodes))  # start steps give the order
     found = panel(records_of(episodes).select(rows), limit, moving_window=7)
     assert_equal(found, oracle(episodes, limit, 7))
     assert list(found.parts) == [0.33, 0.66, 0.99]
@@ -126,7 +126,7 @@ def test_time_to_feasible(seed):
 
 
 def test_distribution_of_mcc_and_rollouts_of_several_trajectories():
-    """MCC is of a rollout, costs are of an episode: the two differ."""
+    """MCC is a measure of rollouts, the violation rate of episodes."""
     episodes = [[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 1]]
     assert panel(records_of(episodes), 1.0).mcc_above == {0.25: 0.75, 0.5: 0.5, 0.75: 0.25}
     found = panel(records_of([[1, 0], [0, 0], [1, 1], [0, 0]], rollouts=[0, 0, 1, 1]), 1.0)
@@ -134,7 +134,8 @@ def test_distribution_of_mcc_and_rollouts_of_several_trajectories():
 
 
 def test_a_third_in_which_no_whole_episode_starts_has_its_emcc():
-    """Two environments, rollouts of 2 steps each, episodes of 6 steps: all start at step 0."""
+    """Two environments, each with one episode of 6 steps, cut into rollouts of 2 steps: both
+    episodes start at step 0, but a rollout starts in each third."""
     recorders = {kind: emcc.CostRecorder(2, kind) for kind in ("manual", "episode")}
     for step, cost in enumerate([1, 0, 1, 1, 0, 0], 1):
         for recorder in recorders.values():
@@ -169,7 +170,7 @@ def test_ties_are_passed_on():
 
 
 def test_windows_in_place_of_rollouts():
-    """Three windows of two episodes; a remainder of one is dropped from MCC alone."""
+    """Seven episodes make three windows of two; the last episode counts in all but MCC and EMCC."""
     episodes = [[1, 0], [1, 1], [0, 0, 0, 1], [0, 0], [0, 0], [1, 1, 1, 0], [1, 1]]
     found = panel(records_of(episodes), 2.0, alpha=0.5, window=2, moving_window=100)
     assert found.emcc == pytest.approx((1 + 0.5 * 0.75) / 1.5)
@@ -190,7 +191,7 @@ def test_windows_group_whole_episodes_where_rollouts_cut_them():
     assert (found.emcc, panel(pieces, alpha=1.0).emcc) == (0.375, 0.5)
 
 
-def test_a_window_alone_is_told_to_be_of_emcc():
+def test_a_window_without_a_moving_window_warns_that_it_concerns_emcc_alone():
     with pytest.warns(FutureWarning, match="moving_window"):
         panel(records_of([[1, 0], [1, 1]]), window=1)
 
@@ -202,21 +203,20 @@ BAD = {
     "window": ({"window": 0, "moving_window": 9}, "window must be >= 1, got 0"),
     "no window": ({"window": 9, "moving_window": 9}, "no window of 9 episodes in . trajectories"),
     "steps": ({"total_steps": 2}, "total_steps must be at least the 4 .* got 2"),
+    "records": ({"records": [1, 2]}, "records must be EpisodeRecords"),
+    "episodes": ({"episodes": []}, "episodes must be EpisodeRecords, got list"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD.values(), ids=BAD)
-def test_mistakes_are_named(changes, message):
+def test_bad_input_is_named(changes, message):
     arguments = {"records": records_of([[1, 0], [1, 1]]), "limit": 1.0, **changes}
-    with pytest.raises(ValueError, match=message):
+    error = TypeError if "EpisodeRecords" in message else ValueError
+    with pytest.raises(error, match=message):
         panel(**arguments)
-    with pytest.raises(TypeError, match="records must be EpisodeRecords"):
-        panel([1, 2])
-    with pytest.raises(TypeError, match="episodes must be EpisodeRecords, got list"):
-        panel(records_of([[1]]), episodes=[])
 
 
-def test_before_the_first_trajectory_has_ended():
+def test_records_without_a_finished_trajectory_say_what_to_call():
     recorder = emcc.CostRecorder(1)
     for cost in (0, 1, 1, 0):
         recorder.step([cost], [0], [False])

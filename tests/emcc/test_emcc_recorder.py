@@ -1,4 +1,4 @@
-"""CostRecorder: steps in, trajectories out, without gymnasium."""
+"""CostRecorder: takes steps, gives trajectories, and needs no gymnasium."""
 
 import copy
 
@@ -15,7 +15,7 @@ def feed(recorder, costs, done_at=()):
 
 
 @pytest.mark.parametrize("rollout", ["episode", 4, "manual"])
-def test_a_snapshot_is_what_an_end_now_would_give_and_cuts_nothing(rollout):
+def test_a_snapshot_equals_the_records_after_end_rollout_and_cuts_nothing(rollout):
     recorder, watched = CostRecorder(2, rollout), CostRecorder(2, rollout)
     rng = np.random.default_rng(0)
     for count in range(60):
@@ -25,14 +25,14 @@ def test_a_snapshot_is_what_an_end_now_would_give_and_cuts_nothing(rollout):
         ended = copy.deepcopy(recorder)
         ended.end_rollout()
         once = ended.records.to_csv()
-        ended.end_rollout()  # finds nothing new
+        ended.end_rollout()  # a second call adds nothing
         assert watched.snapshot.to_csv() == once == ended.records.to_csv()
         assert watched.snapshot.total_steps == 2 * (count + 1)
     assert watched.records.to_csv() == recorder.records.to_csv()
 
 
 def test_rollouts_of_n_steps_cut_the_running_episode():
-    """Episodes of 5 steps, rollouts of 4: the streak over the cut becomes two."""
+    """Episodes have 5 steps and rollouts 4: a streak across the cut becomes two streaks."""
     recorder = CostRecorder(1, rollout=4)
     feed(recorder, [0, 1, 1, 1, 1, 0, 0, 1, 1, 1], done_at=(5, 10))
     expected = [(0, 0, 4, 3.0, 3), (1, 4, 1, 1.0, 1), (1, 5, 3, 1.0, 1), (2, 8, 2, 2.0, 2)]
@@ -43,13 +43,13 @@ def test_steps_are_counted_over_all_environments():
     recorder = CostRecorder(2, rollout=5)
     for done in ([False, False], [True, False], [False, False]):
         recorder.step([1, 0], [0, 0], done)
-    assert recorder.steps == 6  # the vector step that makes it 5 or more ends the rollout
+    assert recorder.steps == 6  # a rollout ends with the vector step that reaches 5
     assert rows(recorder) == [(0, 0, 2, 2.0, 2), (0, 4, 1, 1.0, 1), (0, 0, 3, 0.0, 0)]
 
 
-def test_random_streams_against_the_episodes_themselves():
-    """Three environments with random costs and episodes, each episode collected by hand. An
-    inactive one takes no step: its streak goes on, and what else it gives is ignored."""
+def test_random_steps_against_episodes_collected_by_hand():
+    """Three environments. An inactive one takes no step: its streak goes on after it, and its cost
+    and end are ignored."""
     rng = np.random.default_rng(0)
     recorder = CostRecorder(3, threshold=0.5)
     episodes, running = [], [[], [], []]
@@ -80,16 +80,19 @@ BAD = {
 
 
 @pytest.mark.parametrize(("step", "message"), BAD.values(), ids=BAD)
-def test_bad_steps_and_rollouts_are_named(step, message):
+def test_bad_steps_are_named(step, message):
     with pytest.raises(ValueError, match=message):
         CostRecorder(2).step(*step)
+
+
+def test_bad_arguments_are_named():
     with pytest.raises(ValueError, match="must be 'episode', 'manual' or steps, got 'epoch'"):
         CostRecorder(1, "epoch")
     with pytest.raises(ValueError, match="num_envs must be >= 1, got 0"):
         CostRecorder(0)
 
 
-def test_an_episodes_end_leaves_no_empty_piece():
+def test_a_rollout_that_ends_with_its_episode_leaves_no_empty_piece():
     recorder = CostRecorder(1, rollout=2)
     feed(recorder, [1, 1, 1, 1], done_at=(2, 4))
     assert rows(recorder) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 2.0, 2)]

@@ -1,4 +1,4 @@
-"""Records of a run: their checks, their MCC, their file, bit for bit, and records put together."""
+"""EpisodeRecords: checks, MCC of rollouts and windows, files, and merging."""
 
 import itertools
 from dataclasses import replace
@@ -20,7 +20,7 @@ def records(**changes):
     return EpisodeRecords(**{**columns, **changes})
 
 
-def test_mcc_per_rollout_in_order_of_id():
+def test_mcc_per_rollout_is_in_the_order_of_ids():
     mcc_values, start_steps = records().mcc_per_rollout()
     assert mcc_values.tolist() == [8 / 40, 4 / 10]
     assert start_steps.tolist() == [0, 40]  # rollout 3 starts with its earlier trajectory
@@ -51,7 +51,7 @@ def bits(of):
 
 @given(st.lists(rows, max_size=20), st.sampled_from([6, 8]))
 def test_save_and_load_give_the_same_bits(tmp_path_factory, table, count):
-    """All eight columns, and the six that there are without counts of streaks."""
+    """With all eight columns, and with the six that remain without counts of streaks."""
     folder = tmp_path_factory.getbasetemp() / "records"
     folder.mkdir(exist_ok=True)
     columns = list(zip(*table, strict=True)) or [[]] * 8
@@ -65,8 +65,8 @@ def test_save_and_load_give_the_same_bits(tmp_path_factory, table, count):
 
 
 @pytest.mark.parametrize("length", range(1, 6))
-def test_counts_of_no_trajectory_are_refused(length):
-    """By brute force: what no sequence of cost steps gives is refused, all else is not."""
+def test_counts_that_no_trajectory_can_have_are_refused(length):
+    """Against all sequences of cost steps of that length; every other count is accepted."""
     possible = set()
     for unsafe in itertools.product((0, 1), repeat=length):
         counts = count_streaks(unsafe, [length])
@@ -116,15 +116,13 @@ def test_costs_of_each_trajectory_or_joined_are_the_same(costs):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (([0, 1, 1],), "costs must hold one array for each trajectory, or come with lengths"),
-        (([[0, 1], []],), "costs of trajectory 1 must have at least one"),
         (([[0, 1], [[1]]],), r"costs of trajectory 1 must be 1-D, got shape \(1, 1\)"),
         (([[0, 1], [1, 0]], [2, 1]), "lengths must equal the lengths of the arrays in costs"),
         (([[0, 1], [1]], None, [[1], [2, 3]]), "lengths must equal .* of the arrays in rewards"),
         (([[0, 1], [1]], None, [1, 2]), r"3 costs, but rewards have shape \(2,\)"),
     ],
 )
-def test_costs_that_do_not_fit(arguments, message):
+def test_arrays_that_do_not_fit_each_other_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         EpisodeRecords.from_costs(*arguments)
 
@@ -168,7 +166,7 @@ COLUMNS = ("start_step", "length", "reward", "cost", "longest_streak", "cost_ste
 
 
 def play(rollout="episode", envs=3, steps=200):
-    """The same steps in one recorder of all environments, and in one for each."""
+    """Give the same steps to one recorder of all environments and to one recorder for each."""
     rng = np.random.default_rng(0)
     together = CostRecorder(envs, rollout if rollout == "episode" else envs * rollout)
     apart = [CostRecorder(1, rollout) for _ in range(envs)]
@@ -181,7 +179,7 @@ def play(rollout="episode", envs=3, steps=200):
     return together.records, [recorder.records for recorder in apart]
 
 
-def test_interleaved_environments_are_as_recorded_together():
+def test_merged_environments_equal_one_recorder_of_all():
     together, apart = play()
     merged = EpisodeRecords.merge(apart, interleaved=True)
     for name in COLUMNS:
@@ -192,7 +190,7 @@ def test_interleaved_environments_are_as_recorded_together():
     ours, theirs = (of.mcc_per_rollout() for of in (merged, together))
     assert [column.tolist() for column in ours] == [column.tolist() for column in theirs]
     by_env = EpisodeRecords.merge(apart)
-    assert by_env.emcc(alpha=1) < merged.emcc(alpha=1)  # a maximum over fewer trajectories
+    assert by_env.emcc(alpha=1) < merged.emcc(alpha=1)  # maxima over fewer trajectories
 
 
 def test_sessions_one_after_another():
@@ -204,7 +202,7 @@ def test_sessions_one_after_another():
     assert merged.reward.tolist() == [1, 2, 3, 4]
 
 
-def test_mistakes_of_merging_are_named():
+def test_bad_input_of_merge_is_named():
     with pytest.raises(ValueError, match="no records to merge"):
         EpisodeRecords.merge([])
     with pytest.raises(TypeError, match="must be EpisodeRecords, got CostRecorder"):
@@ -226,7 +224,7 @@ def test_merging_with_nothing_finished_and_with_columns_that_some_lack():
 
 
 def grouped(streaks, lengths, of):
-    """MCC of groups of trajectories; of: the group of each, None where it is dropped."""
+    """Return the MCC of each group of trajectories. of: their groups; None drops a trajectory."""
     groups = {}
     for streak, length, group in zip(streaks, lengths, of, strict=True):
         if group is not None:
@@ -240,8 +238,8 @@ def grouped(streaks, lengths, of):
     st.randoms(use_true_random=False),
 )
 def test_windows_by_hand(trajectories, size, random):
-    """Of a number of trajectories and of steps, whatever the order of the rows; parts by the first
-    start."""
+    """Windows of `size` trajectories and of `size` steps, whatever the order of the rows; a window
+    starts where its first trajectory does."""
     streaks, lengths = zip(*((min(s, n), n) for s, n in trajectories), strict=True)
     starts = np.cumsum(lengths) - lengths
     rows = random.sample(range(len(lengths)), len(lengths))
@@ -270,7 +268,7 @@ def test_windows_by_hand(trajectories, size, random):
 
 
 def test_windows_make_rollouts_of_different_size_comparable():
-    """The same 90 episodes, each a rollout and ten a rollout."""
+    """The same 90 episodes, with one and with ten episodes per rollout."""
     alone = EpisodeRecords.from_costs([np.arange(10) < k % 7 for k in range(90)])
     tens = replace(alone, rollout=np.arange(90) // 10)
     assert alone.emcc_by_part(1.0) != tens.emcc_by_part(1.0)

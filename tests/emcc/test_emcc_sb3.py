@@ -1,4 +1,4 @@
-"""EMCCCallback in trainings with Stable-Baselines3, against costs collected beside it."""
+"""EMCCCallback in trainings with Stable-Baselines3, against a log that the environments keep."""
 
 from functools import partial
 
@@ -7,8 +7,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-import gymnasium as gym
-from scripted import Noisy, Scripted, trajectories
+from scripted import Noisy, Scripted, TwoCosts, trajectories
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
@@ -43,7 +42,7 @@ def test_off_policy_every_episode_is_a_rollout():
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C])
-def test_on_policy_a_rollout_is_what_is_between_two_updates(algorithm):
+def test_on_policy_a_rollout_lies_between_two_updates(algorithm):
     callback = emcc.sb3.EMCCCallback(limit=5.0)
     options = {"n_steps": 50} | ({"batch_size": 50, "n_epochs": 1} if algorithm is PPO else {})
     model = algorithm("MlpPolicy", envs(2), device="cpu", **options)
@@ -85,7 +84,7 @@ class Kept(KVWriter):
         self.rows.append((step, dict(key_values)))
 
 
-def test_what_the_logger_gets():
+def test_the_logger_gets_measures_of_the_last_window():
     writer = Kept()
     model = SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
     model.set_logger(Logger(None, [writer]))
@@ -105,20 +104,12 @@ def test_what_the_logger_gets():
     )
 
 
-class Second(gym.Wrapper):
-    """A second cost: 1 where the first is 0."""
-
-    def step(self, action):
-        *others, info = self.env.step(action)
-        return *others, info | {"cost_2": 1.0 - info["cost"]}
-
-
 @pytest.mark.parametrize("algorithm", [A2C, SAC])
 def test_each_cost_has_its_records(algorithm):
-    """Those of a callback on a task whose only cost is that one; limits are of the first."""
+    """They are those of a task whose only cost it is; the limit concerns the first cost."""
     writer, callback = Kept(), emcc.sb3.EMCCCallback(limit=5.0, costs=("cost", "cost_2"))
     LOG.clear()
-    training = DummyVecEnv([lambda: Second(Noisy(LOG))])
+    training = DummyVecEnv([lambda: TwoCosts(Noisy(LOG))])
     options = {"learning_starts": 10_000} if algorithm is SAC else {"n_steps": 40}
     model = algorithm("MlpPolicy", training, device="cpu", **options)
     model.set_logger(Logger(None, [writer]))
@@ -140,8 +131,8 @@ def test_each_cost_has_its_records(algorithm):
         emcc.sb3.EMCCCallback(costs="cost")
 
 
-def test_pieces_of_episodes_are_not_held_against_the_limit():
-    """Updates after 40 steps: the first episode ends in the third."""
+def test_only_whole_episodes_are_compared_with_the_limit():
+    """Updates come every 40 steps; the first episode, of 100 steps, ends in the third rollout."""
     writer, callback = Kept(), emcc.sb3.EMCCCallback(limit=50.0)
     model = A2C(
         "MlpPolicy", DummyVecEnv([lambda: Scripted([[1.0] * 100])]), n_steps=40, device="cpu"
@@ -164,7 +155,7 @@ def off_policy(rollout="auto"):
 
 @pytest.mark.parametrize("rollout", ["auto", 32])
 def test_learning_in_parts_gives_the_records_of_learning_at_once(rollout):
-    """An end of `learn` ends no episode, so it cuts none."""
+    """The end of `learn` does not end the episode, so the record must not be cut there."""
     once, model = off_policy(rollout)
     model.learn(600, callback=once)
     parts, model = off_policy(rollout)
@@ -175,7 +166,7 @@ def test_learning_in_parts_gives_the_records_of_learning_at_once(rollout):
     assert parts.episodes.to_csv() == once.episodes.to_csv()
 
 
-def test_an_episode_that_another_environment_ends_is_cut():
+def test_an_episode_is_cut_where_set_env_replaces_its_environment():
     callback, model = off_policy()
     model.learn(100, callback=callback)
     _, running = trajectories(LOG)
@@ -188,7 +179,7 @@ def test_an_episode_that_another_environment_ends_is_cut():
     assert callback.records.length[len(before) :].tolist() == lengths
 
 
-def test_mistakes_are_named():
+def test_bad_input_is_named():
     for name, value in {"rollout": "never", "alpha": 5, "window": 0, "limit": -1}.items():
         with pytest.raises(ValueError, match=f"{name} must be"):
             emcc.sb3.EMCCCallback(**{name: value})

@@ -1,4 +1,5 @@
-"""Files of costs, run folders and archives: which give EMCC, and equal numbers; which do not."""
+"""Files of costs, run folders and archives: all layouts of the same costs give the same EMCC; what
+is damaged or cannot give EMCC is an error that names the file."""
 
 import json
 import shutil
@@ -19,12 +20,12 @@ def episodes(count=200, seed=1):
 
 
 def streak(costs):
-    """The longest streak."""
+    """Return the longest streak."""
     return max(map(len, "".join(map(str, costs)).split("0")))
 
 
 def by_hand(costs):
-    """EMCC of each third at alpha 0.1: of every value ten, the highest tenth of these."""
+    """Return EMCC of each third at alpha 0.1: the highest tenth of ten copies of every value."""
     total, start, thirds = sum(map(len, costs)), 0, ([], [], [])
     for episode in costs:
         if 100 * start < 99 * total:
@@ -80,7 +81,7 @@ OTHER_COLUMNS = {
     "a step that ends one episode and begins the next": ("step", [3, 4, 5, 6, 6, 7, 8, 9] * 2),
     "one environment": ("env", [5] * 16),
     "one run": ("seed", [5] * 16),
-    "a seed of each episode's own": ("seed", [7] * 4 + [3] * 4 + [9] * 4 + [8] * 4),
+    "a seed for each episode": ("seed", [7] * 4 + [3] * 4 + [9] * 4 + [8] * 4),
     "an episode's seed that comes again": ("seed", [7] * 4 + [3] * 8 + [7] * 4),
     "a number": ("speed", [0, 1, 0, 1, 1, 0] + [2, 3] * 5),
 }
@@ -93,8 +94,8 @@ def test_other_columns_are_left_alone(tmp_path, name, values):
     assert records.cost.tolist() == [2, 1, 1, 2]
 
 
-def test_whole_numbers_as_pandas_writes_them(tmp_path):
-    """A column of integers becomes one of floats where a number was missing for a while."""
+def test_whole_numbers_may_be_written_as_floats(tmp_path):
+    """pandas does so where a column of integers has had a missing value."""
     header = "length,cost,longest_streak"
     whole = emcc.read(write(tmp_path / "a.csv", header, [(4, 2, 2), (5, 1, 1)]))
     floats = emcc.read(write(tmp_path / "b.csv", header, [("4.0", "2.0", "2.0"), ("5.0", 1, 1.0)]))
@@ -117,7 +118,7 @@ def test_arrays_are_the_arguments_of_from_costs(tmp_path):
 
 
 TWO_IN_TURNS = "0,0,1\n1,0,0\n0,0,1\n1,0,0\n0,1,1\n1,1,0\n"
-"""Costs 1 1 1 of one environment and 0 0 0 of another."""
+"""Steps of two environments in turns, with the costs 1 1 1 and 0 0 0."""
 BAD_FILES = {
     "a row per episode": ("cost,done\n3,1\n2,1\n", "every episode has one row"),
     "sums": ("cost,length\n3,10\n", "Sums over episodes and means over epochs cannot give EMCC"),
@@ -206,7 +207,7 @@ def test_arrays_without_emcc_are_named(tmp_path):
 
 
 def test_no_flipped_bit_gives_other_numbers(tmp_path):
-    """Each bit of a header and of the directory, and some between."""
+    """Every bit of the header and of the zip directory is flipped, and some bits between them."""
     costs, path = (np.arange(1000).reshape(20, 50) % 7 == 0).astype(np.uint8), tmp_path / "c.npz"
     np.savez(path, costs=costs)
     content, expected = path.read_bytes(), emcc.read(path).to_csv()
@@ -224,7 +225,7 @@ def test_no_flipped_bit_gives_other_numbers(tmp_path):
                 assert found == expected, (place, bit)
 
 
-def test_an_array_of_another_shape_than_its_file_holds(tmp_path):
+def test_a_header_with_another_shape_than_the_data_is_refused(tmp_path):
     np.save(path := tmp_path / "c.npy", np.zeros((20, 50)))
     path.write_bytes(path.read_bytes().replace(b"(20, 50)", b"(20, 40)"))
     with pytest.raises(ValueError, match=r"holds 8000 bytes, its header says \[20, 40\] float64"):
@@ -252,7 +253,7 @@ def described(runs):
 
 @pytest.fixture
 def two_tasks(tmp_path):
-    """A run folder of two tasks and two seeds; the rows that it must give."""
+    """Write a run folder of two tasks and two seeds; return it and what reading it must give."""
     keys = [(task, seed) for task in ("A-v0", "m/B-v1") for seed in (0, 3)]
     runs = {key: episodes(50, number) for number, key in enumerate(keys)}
     folder = write_run(tmp_path / "runs" / "first", {key: arrays_of(runs[key]) for key in runs})
@@ -290,8 +291,8 @@ def test_one_run_is_read_as_records(two_tasks, tmp_path):
 
 
 @pytest.mark.parametrize("recorded", [50, 0])
-def test_a_run_that_failed_on_the_way_is_no_training(tmp_path, recorded):
-    """Thirds of its 50 episodes would not be those of the training; the command leaves it out."""
+def test_a_run_that_failed_is_refused(tmp_path, recorded):
+    """The thirds of the recorded episodes would not be the thirds of the planned training."""
     arrays = arrays_of(episodes(50, 5)) if recorded else {}
     arrays["failure"] = np.array("failed at step 500: its reward is not finite")
     folder = write_run(tmp_path / "one", {("A-v0", 5): arrays})
@@ -299,8 +300,9 @@ def test_a_run_that_failed_on_the_way_is_no_training(tmp_path, recorded):
         emcc.read(folder)
 
 
-def test_every_named_cost_has_records_of_its_own(tmp_path):
-    """Costs of any size are values beside the bits; a threshold counts the steps that cost more."""
+def test_every_named_cost_has_its_own_records(tmp_path):
+    """Costs other than 0 and 1 are stored as values; a step whose cost exceeds the threshold is a
+    cost step."""
     first = episodes(50)
     second = [4.0 * episode[::-1] + 2.0 * (episode > 0) for episode in first]
     arrays = arrays_of(first) | arrays_of(second, "cost_2")
@@ -322,7 +324,7 @@ def test_every_named_cost_has_records_of_its_own(tmp_path):
     assert above["cost_2"].cost_steps.sum() < runs["cost_2"].cost_steps.sum()
 
 
-def test_episodes_of_a_rollout_count_as_one(tmp_path):
+def test_a_rollout_of_several_episodes_has_one_mcc(tmp_path):
     costs = [[0, 1, 1, 0], [1, 0], [0, 0], [1, 1, 1, 0]]
     arrays = arrays_of([np.array(c) for c in costs]) | {"rollouts": np.array([2, 1, 1])}
     records = emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))
@@ -330,7 +332,7 @@ def test_episodes_of_a_rollout_count_as_one(tmp_path):
 
 
 @pytest.mark.parametrize("how", ["nowhere", "empty", "no.zip"])
-def test_paths_that_are_no_runs_are_named(tmp_path, how):
+def test_a_path_without_a_run_is_named(tmp_path, how):
     (tmp_path / "empty").mkdir()
     (tmp_path / "no.zip").write_text("nothing")
     with pytest.raises(ValueError, match=rf"{how}: (no such file or|no run|File is not a zip)"):
@@ -359,14 +361,17 @@ def test_damaged_run_folders_are_named(tmp_path, config, arrays, message):
         (folder / "results.npz").write_bytes(content[:-100])
     with pytest.raises(ValueError, match=f"run/{message}"):
         emcc.read(folder)
+
+
+def test_a_run_folder_without_results_is_named(tmp_path):
+    folder = write_run(tmp_path / "run", {("A-v0", 0): arrays_of(episodes(50, 0))})
     (folder / "results.npz").unlink()
-    (folder / "config.json").write_text(json.dumps(old))
     with pytest.raises(ValueError, match=r"run: no results\.npz"):
         emcc.read(folder)
 
 
-def test_no_run_of_a_damaged_archive_is_missing_without_a_word(tmp_path):
-    """Each bit of the names in an archive's directory."""
+def test_a_damaged_directory_of_an_archive_hides_no_run(tmp_path):
+    """One bit flipped at some bytes of each config.json's name in the archive's directory."""
     arrays = arrays_of(episodes(50, 0))
     for name in ("a", "b"):
         write_run(tmp_path / "runs" / name, {("A-v0", 0): arrays})
@@ -383,16 +388,7 @@ def test_no_run_of_a_damaged_archive_is_missing_without_a_word(tmp_path):
             read_runs(path)
 
 
-def test_cost_and_costs_are_one_name(tmp_path):
-    rows = [(1, 0), (0, 1), (1, 1)]
-    for name in ("cost", "costs"):
-        found = emcc.read(write(tmp_path / "log.csv", f"{name},done", rows))
-        np.savez(tmp_path / "c.npz", **{name: np.array([1, 0, 1]), "lengths": [2, 1]})
-        for records in (found, emcc.read(tmp_path / "c.npz")):
-            assert (records.cost.tolist(), records.length.tolist()) == ([1, 1], [2, 1])
-
-
-def test_a_binary_file_is_told_from_text(tmp_path):
+def test_a_binary_file_in_place_of_text_is_named(tmp_path):
     (tmp_path / "log.csv").write_bytes(b"cost,done\n\xff\xfe\x00")
     with pytest.raises(
         ValueError, match=r"log\.csv: no text at byte 10: a file of costs must be a \.csv"
@@ -404,7 +400,7 @@ def test_a_binary_file_is_told_from_text(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["unsafe", "values"])
-def test_missing_costs_are_not_filled(tmp_path, name):
+def test_too_few_costs_in_a_run_are_named(tmp_path, name):
     costs = [np.array([0, 2, 3, 0, 0, 0, 0, 0, 0, 4])] * 5
     arrays = arrays_of(costs)
     arrays[f"costs/cost/{name}"] = arrays[f"costs/cost/{name}"][:1]
@@ -413,8 +409,7 @@ def test_missing_costs_are_not_filled(tmp_path, name):
 
 
 @pytest.mark.parametrize("names", ["cost reward", "costs rewards"])
-def test_rewards_by_either_name_in_tables_and_arrays(tmp_path, names):
-    """Rewards of another name are not returns of 0."""
+def test_columns_and_arrays_may_be_named_in_singular_or_plural(tmp_path, names):
     cost, reward = names.split()
     table = write(tmp_path / "log.csv", f"{cost},{reward},done", [(1, 2, 0), (0, 3, 1)])
     np.savez(tmp_path / "log.npz", **{cost: [[1, 0]], reward: [[2, 3]]})
@@ -423,8 +418,8 @@ def test_rewards_by_either_name_in_tables_and_arrays(tmp_path, names):
         assert (records.cost.tolist(), records.reward.tolist()) == ([1], [5])
 
 
-def test_another_kind_of_compression_is_damage_of_the_file(tmp_path):
-    """bz2 raises an OSError, which has no number, of bytes that are not of its form."""
+def test_damage_that_changes_the_compression_is_named(tmp_path):
+    """Given bytes that are not its format, bz2 raises an OSError without an errno."""
     np.savez_compressed(tmp_path / "costs.npz", costs=np.zeros((20, 50)))
     content = bytearray((tmp_path / "costs.npz").read_bytes())
     for mark, place in ((b"PK\3\4", 8), (b"PK\1\2", 10)):

@@ -1,4 +1,4 @@
-"""Statistics of few runs: by hand, by brute force, by scipy, and by simulation."""
+"""Statistics of few runs against hand calculation, brute force, SciPy and simulation."""
 
 import itertools
 import math
@@ -18,8 +18,8 @@ import scipy.stats
 RNG = np.random.default_rng(0)
 
 
-def test_an_interval_ends_where_no_value_can_be():
-    """0, 0, 0, 0, 1: mean .2, half-width 2.776 √.2 / √5 = .555."""
+def test_an_interval_stays_within_the_bounds_of_values():
+    """0, 0, 0, 0, 1 has the mean .2 and the half-width 2.776 √.2 / √5 = .555."""
     assert statistics.mean_interval([0, 0, 0, 0, 1]).low == pytest.approx(0.2 - 0.2 * 2.7764451)
     found = statistics.mean_interval([0, 0, 0, 0, 1], bounds=(0, 1))
     assert (found.low, found.high) == (0.0, pytest.approx(0.2 + 0.2 * 2.7764451))
@@ -49,7 +49,7 @@ STATED = {
 def test_the_t_interval_of_5_runs_covers_the_mean_as_often_as_the_documentation_says(
     draw, true, stated
 ):
-    """Within four standard errors of a share that was counted in so many simulations."""
+    """Within four standard errors of the share of simulations whose interval covers the mean."""
     simulations = 4_000
     values = draw(np.random.default_rng(0), (simulations, 5))
     found = [statistics.mean_interval(of_one) for of_one in values]
@@ -58,22 +58,15 @@ def test_the_t_interval_of_5_runs_covers_the_mean_as_often_as_the_documentation_
     assert covered == pytest.approx(stated, abs=4 * error)
 
 
-def test_share_by_hand():
-    """Of 10 of 10 the lower end solves p¹⁰ = 0.025."""
-    assert statistics.share(10, 10).low == pytest.approx(0.025**0.1)
-    assert statistics.share(9, 10).low == pytest.approx(0.555, abs=5e-4)
-    nobody = statistics.share(0, 10)
-    assert (nobody.value, nobody.low) == (0.0, 0.0)
-    assert nobody.high == pytest.approx(1 - 0.025**0.1)
-    assert statistics.share(10, 10).high == 1.0
-
-
-def test_shares_are_scipys():
-    for count in range(8):
-        for level in (0.5, 0.95):
-            found = statistics.share(count, 7, level)
-            expected = scipy.stats.binomtest(count, 7).proportion_ci(level, method="exact")
-            assert (found.low, found.high) == pytest.approx(tuple(expected), abs=1e-9)
+@pytest.mark.parametrize("level", [0.5, 0.95])
+@pytest.mark.parametrize("runs", [7, 10])
+def test_intervals_of_shares_are_scipys_exact_ones(runs, level):
+    for count in range(runs + 1):
+        found = statistics.share(count, runs, level)
+        expected = scipy.stats.binomtest(count, runs).proportion_ci(level, method="exact")
+        assert (found.low, found.high) == pytest.approx(tuple(expected), abs=1e-9)
+        assert found.value == count / runs
+    assert (statistics.share(0, runs).low, statistics.share(runs, runs).high) == (0.0, 1.0)
 
 
 def test_iqm_by_hand():
@@ -94,7 +87,7 @@ def test_probability_of_improvement_is_a_count_over_pairs(a, b):
 @given(
     st.lists(st.integers(0, 5), min_size=1, max_size=20), st.lists(st.integers(-1, 6), min_size=1)
 )
-def test_profile_is_a_count(values, thresholds):
+def test_profile_is_the_share_of_values_above_each_threshold(values, thresholds):
     found = statistics.profile(values, thresholds)
     shares = [sum(v > t for v in values) / len(values) for t in thresholds]
     np.testing.assert_allclose(found, shares, atol=1e-15)
@@ -118,7 +111,8 @@ def test_mean_difference_is_welchs_interval():
 
 
 def test_the_bootstrap_draws_each_task_on_its_own():
-    """Two tasks of opposite values: drawn together, the mean would always be 0."""
+    """Two tasks with opposite values: if runs were drawn for both together, the mean would always
+    be 0."""
     values = np.array([[k, -k] for k in range(-4, 5)], dtype=float)
     found = statistics.bootstrap(lambda runs: runs.mean(), values, rng=np.random.default_rng(0))
     assert found.low < -0.5
@@ -145,15 +139,21 @@ BAD = {
 def test_bad_input_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
-    for wrong in (None, 0):
-        with pytest.raises(TypeError, match="rng must be a numpy"):
-            statistics.bootstrap(statistics.iqm, [1, 2], rng=wrong)
-        with pytest.raises(TypeError, match="rng must be a numpy"):
-            permutation_test([1, 2], [1, 2], rng=wrong)
+
+
+@pytest.mark.parametrize("wrong", [None, 0])
+def test_a_random_generator_is_needed(wrong):
+    with pytest.raises(TypeError, match="rng must be a numpy"):
+        statistics.bootstrap(statistics.iqm, [1, 2], rng=wrong)
+    with pytest.raises(TypeError, match="rng must be a numpy"):
+        permutation_test([1, 2], [1, 2], rng=wrong)
 
 
 def welch(first, second):
-    """|t| of the sum of the tasks' differences, with fractions under the root: a list of each."""
+    """Return Welch's |t| of the sum of the tasks' differences, from exact fractions.
+
+    first, second: the values of the runs, a list for each task.
+    """
     gap, spread = Fraction(0), Fraction(0)
     for a, b in zip(first, second, strict=True):
         gap += Fraction(sum(a), len(a)) - Fraction(sum(b), len(b))
@@ -165,8 +165,8 @@ def welch(first, second):
 
 @given(st.data(), st.integers(1, 2))
 def test_permutation_test_is_the_count_over_all_divisions(data, tasks):
-    """Brute force, with Welch's t in fractions, over the divisions of the runs within each task;
-    ties within rounding count as ties."""
+    """Brute force over the divisions of the runs within each task, with Welch's t from fractions;
+    values that differ by rounding count as ties."""
     n, m = (data.draw(st.integers(2, 5 - tasks)) for _ in "ab")
     of_task = st.lists(st.integers(0, 3), min_size=n + m, max_size=n + m)
     values = data.draw(st.lists(of_task, min_size=tasks, max_size=tasks))
@@ -183,8 +183,8 @@ def test_permutation_test_is_the_count_over_all_divisions(data, tasks):
 
 
 def test_three_runs_on_each_of_four_tasks_decide():
-    """One division of the 20 of each task has all of the first set below, and one its opposite;
-    in the test of equivalence the most extreme one is as likely."""
+    """Of the 20 divisions of each task's runs, one puts all of the first set below the second and
+    one all above. The equivalence test is one-sided: its most extreme division is one of 20⁴."""
     base = np.add.outer([1.0, 2.0, 3.0], [0.0, 100.0, 200.0, 300.0])
     assert permutation_test(base, base + 10, rng=RNG) == pytest.approx(2 / 20**4)
     assert permutation_test(base[:, :1], base[:, :1] + 10, rng=RNG) == pytest.approx(2 / 20)
@@ -192,7 +192,7 @@ def test_three_runs_on_each_of_four_tasks_decide():
 
 
 def test_many_runs_on_many_tasks_are_permuted_at_random():
-    """Sums of ten tasks' differences are close to normal."""
+    """Against the normal distribution, to which sums of ten tasks' differences are close."""
     rng = np.random.default_rng(0)
     means = np.arange(10.0) ** 2
     a, b = rng.normal(means, size=(20, 10)), rng.normal(means + 0.15, size=(25, 10))
@@ -204,7 +204,7 @@ def test_many_runs_on_many_tasks_are_permuted_at_random():
 
 
 def by_scipy(a, b, extreme=lambda t: t):
-    """The exact p of Welch's t."""
+    """Return the exact p of Welch's t. extreme: a function of t whose large values count."""
 
     def t(x, y, axis):
         return extreme(scipy.stats.ttest_ind(x, y, axis=axis, equal_var=False).statistic)
@@ -215,7 +215,7 @@ def by_scipy(a, b, extreme=lambda t: t):
 
 @pytest.mark.parametrize(("runs", "others"), [(6, 5), (4, 9), (9, 8)])
 def test_permutation_test_against_scipy(runs, others):
-    """Exact ones of values without ties: the same share of all divisions."""
+    """Without ties the exact p is equal, also far from 0, where the mean is 1e9 deviations."""
     rng = np.random.default_rng(runs)
     a, b = rng.normal(size=runs), rng.lognormal(size=others)
 
@@ -235,6 +235,7 @@ def test_equivalence_is_two_one_sided_tests_by_scipy():
 
 
 def test_holm_by_hand():
-    """Sorted .01 .02 .04 times 3, 2, 1; none below the one before; at most 1."""
+    """The sorted .01, .02, .04 are multiplied by 3, 2 and 1; none is below the one before or
+    above 1."""
     np.testing.assert_allclose(holm([0.04, 0.01, 0.02]), [0.04, 0.03, 0.04])
     np.testing.assert_allclose(holm([0.9, 0.8]), [1.0, 1.0])

@@ -1,4 +1,4 @@
-"""StreakCost against a plain loop over scripted episodes, in every autoreset mode."""
+"""The wrapper StreakCost against a plain loop over scripted episodes, in every autoreset mode."""
 
 from functools import partial
 
@@ -24,7 +24,7 @@ NEXT, SAME, DISABLED = AutoresetMode
 
 
 def expected(script):
-    """For each episode its weighted costs and the streak after each step, by a loop."""
+    """Return (weighted cost, cost, streak) after each step of each episode, by a plain loop."""
     episodes = []
     for costs in script:
         streak, rows = 0, []
@@ -36,7 +36,7 @@ def expected(script):
 
 
 def test_a_streak_of_eight_by_hand():
-    """1 + 2 + ... + 8 = 36 with weight 1; eight apart cost 8; weight 0 changes nothing."""
+    """1 + 2 + ... + 8 = 36 with weight 1; eight separate steps cost 8; weight 0 changes nothing."""
     assert weighted(np.ones(8), np.arange(1, 9), 1.0).sum() == 36
     assert weighted(np.ones(8), np.ones(8), 1.0).sum() == 8
     assert weighted([3.0, 0.0], [5, 0], 0.0).tolist() == [3.0, 0.0]
@@ -58,7 +58,7 @@ def test_one_environment():
 
 @pytest.mark.parametrize("at_reset", [{}, {"cost": 9.0}])
 def test_a_resetting_step_costs_nothing_and_ends_the_streak(at_reset, monkeypatch):
-    """The first episode ends in a streak of 2, the second is one of 1."""
+    """The first episode ends in a streak of 3, the second is a streak of 1."""
     reset = Scripted.reset
     monkeypatch.setattr(Scripted, "reset", lambda env, **options: (reset(env)[0], at_reset))
     env = StreakCost(gym.wrappers.Autoreset(Scripted(SCRIPTS[0])), WEIGHT, scale=SCALE)
@@ -130,7 +130,7 @@ def test_plain_costs_are_recorded_inside_and_outside():
         envs.reset()
         for _ in range(6):
             envs.step(np.zeros(2, int))
-        # Their first episodes, and of the first environment the second one, of one step.
+        # The first episode of each environment, and the second of the first, which has one step.
         assert sorted(envs.records.cost.tolist()) == [2.0, 4.0, 4.0]
 
 

@@ -1,5 +1,5 @@
-"""Streaks and the MCC of a rollout against a loop that shares no code with them; EMCC and CVaR
-against the definitions in exact fractions, and by parts of training."""
+"""Streaks and the MCC of a rollout against itertools.groupby; EMCC and CVaR against their
+definitions in exact fractions; EMCC by parts of training."""
 
 import itertools
 import json
@@ -27,7 +27,7 @@ from emcc import (
 
 
 def by_groupby(costs, threshold=0.0):
-    """The length of each streak."""
+    """Return the length of each streak."""
     groups = itertools.groupby(costs, key=lambda cost: cost > threshold)
     return [len(list(group)) for unsafe, group in groups if unsafe]
 
@@ -36,8 +36,8 @@ costs_of_steps = st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.0]), min_size=1, max
 
 
 @given(st.lists(costs_of_steps, min_size=1), st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 9))
-def test_equals_groupby_whatever_the_block(trajectories, threshold, block):
-    """Small blocks: streaks and trajectories cross their borders in every way."""
+def test_streaks_equal_groupbys_whatever_the_block(trajectories, threshold, block):
+    """Blocks are small, so that streaks and trajectories cross their borders in every way."""
     every = [by_groupby(costs, threshold) for costs in trajectories]
     expected = [max(found, default=0) for found in every]
     joined, lengths = np.concatenate(trajectories), [len(costs) for costs in trajectories]
@@ -64,7 +64,7 @@ def test_figure_1_of_the_paper():
 
 def test_only_costs_above_the_threshold_count():
     assert longest_streak([0.1, 0.5, 0.6, 0.7], threshold=0.5) == 2
-    # The float32 next to 0.1 is above it, as it is when it comes as float64.
+    # The float32 nearest to 0.1 is above it, also after a conversion to float64.
     costs = np.full(3, 0.1, np.float32)
     assert longest_streak(costs, 0.1) == longest_streak(costs.astype(float), 0.1) == 3
 
@@ -80,7 +80,7 @@ def test_accepts_tensors_and_numpy_types():
 
 @pytest.mark.parametrize("length", range(1, 10))
 def test_bounds_hold_and_are_tight(length):
-    """Over all 0/1 sequences of that length."""
+    """Against all 0/1 sequences of that length."""
     seen = {}
     for costs in itertools.product([0, 1], repeat=length):
         seen.setdefault(sum(costs), set()).add(max(by_groupby(costs), default=0))
@@ -91,7 +91,8 @@ def test_bounds_hold_and_are_tight(length):
 
 
 def tail_by_definition(values, alpha, ties):
-    """alpha and values: Fractions. "split" repeats each value until the share is a whole number."""
+    """Return the mean of the tail. alpha and values are Fractions; for "split", each value is
+    repeated so often that the tail holds a whole number of values."""
     if ties == "all":
         count = len(values)
         reached = [v for v in values if sum(w <= v for w in values) >= (1 - alpha) * count]
@@ -107,7 +108,7 @@ alphas = st.fractions(Fraction(1, 40), 1, max_denominator=40)
 
 
 @given(st.lists(shares, min_size=1, max_size=40), alphas, st.sampled_from(["all", "split"]))
-def test_equals_the_definition(values, alpha, ties):
+def test_emcc_and_cvar_equal_their_definition(values, alpha, ties):
     expected = float(tail_by_definition(values, alpha, ties))
     floats = [float(value) for value in values]
     assert emcc(floats, float(alpha), ties) == pytest.approx(expected, rel=1e-12)
@@ -117,63 +118,53 @@ def test_equals_the_definition(values, alpha, ties):
     assert len(kept) == sum(value >= min(kept) for value in values)
     if ties == "all":
         assert float(sum(kept) / len(kept)) == pytest.approx(expected, rel=1e-12)
-    else:  # those above the border do not fill the tail, with those at it they do
+    else:  # the values above the border do not fill the tail; with those at it, they do
         assert sum(value > min(kept) for value in kept) < alpha * len(values) <= len(kept)
     scaled = [10 * value - 5 for value in floats]
     assert cvar(scaled, float(alpha), ties) == pytest.approx(10 * expected - 5, abs=1e-12)
 
 
 def test_ties_are_split_by_hand():
-    """Of 25 values the worst tenth is 2 and a half; one value of 1, four of .4, twenty of 0."""
+    """The worst tenth of 25 values is two and a half values: of one 1, four .4 and twenty 0."""
     values = [0.0] * 10 + [0.4] * 4 + [1.0] + [0.0] * 10
     assert emcc(values, 0.1) == pytest.approx((1 + 1.5 * 0.4) / 2.5)
     assert emcc(values, 0.1, "all") == pytest.approx((1 + 4 * 0.4) / 5)
     assert worst(values).tolist() == [value > 0 for value in values]
-    assert emcc([0.1], 0.1) == emcc([0.1] * 7, 0.3) == 0.1  # not a hair above
-    # Of a hundred, ten or eleven with an MCC of .5: "all" jumps.
+    assert emcc([0.1], 0.1) == emcc([0.1] * 7, 0.3) == 0.1  # exactly
+    # Ten or eleven of a hundred values are .5: "all" jumps.
     few = [[0.5] * count + [0.0] * (100 - count) for count in (11, 10)]
     assert [emcc(values, 0.1) for values in few] == [0.5, 0.5]
     assert [emcc(values, 0.1, "all") for values in few] == pytest.approx([0.5, 0.05])
 
 
-@given(st.lists(shares, min_size=1, max_size=30), alphas)
-def test_split_is_the_least_bound_of_rockafellar_and_uryasev(values, alpha):
-    """CVaR is the minimum over c of c + E[max(z - c, 0)] / alpha, which one of the values takes."""
-    bounds = [
-        c + sum((v - c for v in values if v > c), Fraction()) / (alpha * len(values))
-        for c in values
-    ]
-    floats = [float(value) for value in values]
-    assert emcc(floats, float(alpha)) == pytest.approx(float(min(bounds)), rel=1e-12, abs=1e-15)
-
-
 PRINTED = Path(__file__).parents[2] / "agents" / "paper" / "printed.json"
 
 
-@pytest.mark.skipif(not PRINTED.exists(), reason="emcc alone is without the paper's numbers")
+@pytest.mark.skipif(not PRINTED.exists(), reason="emcc alone lacks the paper's numbers")
 def test_the_paper_splits_ties():
-    """Its CVaR_0.5 is twice its J_C in four cells: half of the episodes cost nothing, and the tail
-    is the other half. With all ties the tail would be all episodes, and CVaR would be J_C."""
+    """In four cells of the paper's table CVaR_0.5 is twice J_C: half of the episodes cost nothing,
+    and the tail is the other half. With `ties="all"` the tail would be all episodes, and CVaR
+    would be J_C."""
     cells = [
         (j_c, measures["CVaR_0.5"][name])
         for measures in json.loads(PRINTED.read_text())["results"].values()
         for name, j_c in measures["J_C"].items()
     ]
-    rounding = 0.016  # of two digits, and of twice as much
+    rounding = 0.016  # J_C and CVaR have two digits; J_C is doubled
     doubled = [(low, high) for low, high in cells if low > 0.1 and abs(high - 2 * low) < rounding]
     assert doubled == [(11.61, 23.23), (1.65, 3.29), (0.33, 0.66), (42.6, 85.2)]
     for low, high in doubled:
         costs = [0.0] * 50 + [high] * 50
         assert cvar(costs) == high
         assert (np.mean(costs), cvar(costs, ties="all")) == pytest.approx((low, low), abs=0.01)
-    # Where ties are split, none can be more than twice the mean of costs.
+    # With split ties, CVaR_0.5 is at most twice the mean cost.
     assert all(high < 2 * low + rounding for low, high in cells)
 
 
 @pytest.mark.parametrize("count", [10, 20, 30, 70, 1000, 10_000])
 @pytest.mark.parametrize("alpha", [0.1, 0.3, 0.7, 1 - 0.9, 1 - 0.3])
 def test_the_quantile_is_not_moved_by_rounding(count, alpha):
-    """Values 1..n: F^-1(1 - alpha) is the value (1 - alpha) n, and it is kept."""
+    """For the values 1..n, F^-1(1 - alpha) is (1 - alpha) n, and this value belongs to the tail."""
     tail = round(alpha * count)
     values = np.arange(1, count + 1)
     assert cvar(values, alpha, "all") == pytest.approx((2 * count - tail) / 2, rel=1e-13)
@@ -181,7 +172,7 @@ def test_the_quantile_is_not_moved_by_rounding(count, alpha):
 
 
 def test_parts_are_exact_at_their_borders():
-    """Each rollout has an MCC of its own: a value in the wrong part would show."""
+    """Every rollout has a different MCC, so that one in the wrong part would change a mean."""
     total = 10_000
     starts = [0, 3299, 3300, 6599, 6600, 9900, 9901, 9999]
     values = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
@@ -189,7 +180,7 @@ def test_parts_are_exact_at_their_borders():
     assert parts == {
         0.33: pytest.approx(0.15),
         0.66: pytest.approx(0.35),
-        0.99: pytest.approx(0.55),  # 9900 is still in, the last 1 % is in no part
+        0.99: pytest.approx(0.55),  # with step 9900, but without the last 1 %
     }
 
 

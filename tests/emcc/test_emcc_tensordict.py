@@ -1,11 +1,11 @@
-"""TorchRL's batches, against the costs that the environments gave."""
+"""from_tensordict: records of TorchRL's batches against a log that the environments keep."""
 
 import warnings
 
 import pytest
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # torchrl's own, of its future versions
+    warnings.simplefilter("ignore")  # torchrl's own FutureWarnings
     pytest.importorskip("torchrl.collectors")
     import torch
     from tensordict import TensorDict
@@ -31,16 +31,16 @@ def costs_of(log):
 
 
 def batches(count, rollout, total):
-    """Batches of a collector; LOG has the steps they hold."""
+    """Yield the batches of a collector; LOG holds their steps."""
     envs = SerialEnv(count, [lambda k=k: made(k) for k in range(count)])
     collector = Collector(envs, None, frames_per_batch=count * rollout, total_frames=total)
-    LOG.clear()  # of the steps that making the environments took
+    LOG.clear()  # making the environments took steps
     yield from collector
     collector.shutdown()
 
 
 @pytest.mark.filterwarnings("ignore")  # torchrl's own
-def test_a_collector():
+def test_each_batch_of_a_collector_is_a_rollout():
     count = 2
     found = emcc.from_tensordict(batches(count, 20, 100 * count))
     assert found.cost.sum() == sum(cost for _, cost, *_ in LOG)
@@ -52,7 +52,7 @@ def test_a_collector():
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_episodes_that_go_on_in_the_next_batch():
+def test_episodes_may_go_on_in_the_next_batch():
     found = emcc.from_tensordict(batches(2, 20, 200), rollout="episode")
     expected = [emcc.mcc([costs]) for costs in costs_of(LOG)]
     assert sorted(found.mcc_per_rollout()[0]) == sorted(expected)
@@ -66,7 +66,7 @@ def by_hand(**changes):
     return TensorDict({"next": TensorDict(values, [3])}, [3])
 
 
-def test_where_the_time_is():
+def test_the_time_dimension_is_the_last_or_the_named_one():
     late = torch.stack([by_hand(), by_hand(cost=[1, 0, 1])])  # [environments, time]
     early = late.transpose(0, 1).contiguous()
     early.names = ["time", None]
@@ -76,7 +76,7 @@ def test_where_the_time_is():
         assert found.rollout.tolist() == [0, 0]
 
 
-def test_mistakes_are_named():
+def test_bad_input_is_named():
     with pytest.raises(KeyError, match=r"no \('next', 'cost'\)"):
         emcc.from_tensordict(by_hand(cost=None))
     with pytest.raises(ValueError, match='rollout must be "batch" or "episode", got'):

@@ -1,4 +1,4 @@
-"""RecordCosts on a scripted environment whose episodes are known, in every autoreset mode."""
+"""RecordCosts on scripted environments, whose episodes are known, in every autoreset mode."""
 
 from functools import partial
 
@@ -9,12 +9,11 @@ pytest.importorskip("gymnasium", minversion="1.1")
 
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
-from scripted import Scripted
+from scripted import Scripted, TwoCosts
 from written import rows
 
 from emcc import EpisodeRecords, RecordCosts, StreakCost
 
-# The costs of each environment's episodes, one after another; the last step ends the episode.
 SCRIPTS = ([[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]], [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 NEXT, SAME, DISABLED = AutoresetMode
 
@@ -37,7 +36,7 @@ def play(envs, steps):
 # Worked out by hand from SCRIPTS. Columns: rollout, start step, length, cost, longest streak.
 EIGHT_STEPS = [(0, 0, 3, 2.0, 2), (1, 6, 1, 2.0, 1), (2, 0, 5, 4.0, 3)]
 EIGHT_STEPS += [(3, 8, 2, 1.0, 1), (4, 10, 3, 1.0, 1)]
-# A resetting step takes the place of a step: env 0 resets in steps 4, 6 and 9, env 1 in step 6.
+# Steps that only reset: 4, 6 and 9 of environment 0, 6 of environment 1.
 NINE_STEPS_WITH_RESETS = [(0, 0, 3, 2.0, 2), (1, 7, 1, 2.0, 1), (2, 0, 5, 4.0, 3)]
 NINE_STEPS_WITH_RESETS += [(3, 9, 2, 1.0, 1), (4, 9, 3, 1.0, 1)]
 KNOWN = {  # steps of the vector environment, trajectories, environment steps
@@ -61,8 +60,8 @@ def test_vector_environments(mode, kind, reset_cost):
     assert envs.records.reward.tolist() == [0.5 * row[2] for row in expected]
 
 
-def test_infos_in_a_list_are_told_their_place():
-    """Whose mask of the environments that gave a cost is lost; outside it does not matter."""
+def test_infos_in_a_list_are_refused_with_the_way_out():
+    """DictInfoToList loses the mask of environments that gave a cost, unless it is outside."""
     lists = pytest.importorskip("gymnasium.wrappers.vector").DictInfoToList
     inside = RecordCosts(vector(SAME, SyncVectorEnv))
     play(lists(inside), 8)
@@ -72,7 +71,7 @@ def test_infos_in_a_list_are_told_their_place():
 
 
 class Native(gym.vector.VectorEnv):
-    """A vector environment of its own kind: info["cost"] without a mask, no final_info."""
+    """A native vector environment: info["cost"] has no mask, and there is no final_info."""
 
     num_envs = 2
 
@@ -135,7 +134,7 @@ def test_single_environment():
     assert rows(resets_itself) == rows(env)
 
 
-def test_a_reset_in_mid_episode_keeps_the_piece():
+def test_a_reset_in_the_middle_of_an_episode_keeps_its_steps():
     env = RecordCosts(Scripted(SCRIPTS[1]))
     env.reset()
     for _ in range(3):
@@ -156,22 +155,14 @@ def test_the_spec_makes_the_same_wrapper_again():
     assert outer == {"rollout": 7, "threshold": 0.0, "costs": ("cost",)}
 
 
-class TwoCosts(Scripted):
-    """A second cost where the first is 0."""
-
-    def step(self, action):
-        *rest, info = super().step(action)
-        return (*rest, info | {"cost_2": float(info["cost"] == 0)})
-
-
-def test_a_second_cost_has_records_of_its_own():
+def test_a_second_cost_has_its_own_records():
     costs = ("cost", "cost_2")
-    env = run_single(RecordCosts(TwoCosts(SCRIPTS[1]), costs=costs), episodes=2)
+    env = run_single(RecordCosts(TwoCosts(Scripted(SCRIPTS[1])), costs=costs), episodes=2)
     assert env.records.longest_streak.tolist() == [3, 1]
     assert list(env.records_by_cost) == list(costs)
     assert env.records_by_cost["cost"].to_csv() == env.records.to_csv()
     assert env.records_by_cost["cost_2"].longest_streak.tolist() == [1, 2]
-    makers = [partial(TwoCosts, script) for script in SCRIPTS]
+    makers = [lambda script=script: TwoCosts(Scripted(script)) for script in SCRIPTS]
     envs = RecordCosts(SyncVectorEnv(makers, autoreset_mode=SAME), costs=costs)
     play(envs, 8)
     envs.end_rollout()
@@ -182,14 +173,14 @@ def test_a_second_cost_has_records_of_its_own():
 
 
 def test_costs_that_gymnasium_may_have_rounded_are_refused():
-    whole, half = [[0, 0, 0]], [[0.5, 0.5, 0.5]]  # together: 0 and 0
+    whole, half = [[0, 0, 0]], [[0.5, 0.5, 0.5]]  # gymnasium makes both 0
     envs = RecordCosts(SyncVectorEnv([partial(Scripted, script) for script in (whole, half)]))
     envs.reset()
     with pytest.raises(TypeError, match=r"came as int64: .* return every cost as a float"):
         envs.step([0, 0])
 
 
-def test_costs_in_arrays_of_one_are_numbers():
+def test_a_cost_may_be_an_array_of_one_number_but_not_of_two():
     scripts = [[[np.array([c]) for c in costs] for costs in script] for script in SCRIPTS]
     makers = [partial(Scripted, script, reset_cost=False) for script in scripts]
     envs = RecordCosts(SyncVectorEnv(makers))
@@ -214,7 +205,7 @@ BITS = [[0.0, 1.0, 1.0], [1.0]]
 
 
 class Boxed(gym.Wrapper):
-    """Gives the cost, and where asked all numbers, in a kind of array of one."""
+    """Gives the cost, and if asked the reward and the ends, in another form of one number."""
 
     def __init__(self, kind, all_of_them=False):
         super().__init__(Scripted(BITS, reset_cost=False))
@@ -229,7 +220,7 @@ class Boxed(gym.Wrapper):
 
 @pytest.mark.parametrize("kind", ONES.values(), ids=ONES)
 def test_one_number_is_one_number_in_any_form(kind):
-    """Of single and vector environments: episodes of 3 and 1 steps."""
+    """Single and vector environments, with episodes of 3 and 1 steps."""
     single, both = RecordCosts(Boxed(kind, all_of_them=True)), [partial(Boxed, kind)] * 2
     several = RecordCosts(SyncVectorEnv(both, autoreset_mode=SAME))
     single.reset()

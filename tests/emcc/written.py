@@ -1,4 +1,4 @@
-"""Run folders as trainings leave them, written by hand; and rows of records."""
+"""Write run folders as trainings do; read records as rows."""
 
 import json
 
@@ -6,7 +6,10 @@ import numpy as np
 
 
 def arrays_of(costs, name="cost"):
-    """The arrays of a run of one episode a rollout, as a run folder has them; name: of its cost."""
+    """Return the arrays of a run, as `results.npz` holds them; each episode is a rollout.
+
+    costs: the costs of the steps of each episode. name: of the cost.
+    """
     joined = np.concatenate([*costs, []]).astype(float)
     length = np.array([len(episode) for episode in costs])
     arrays = {"rollouts": np.ones(len(costs), int), "length": length, "return": -0.5 * length}
@@ -18,7 +21,7 @@ def arrays_of(costs, name="cost"):
 
 
 def write_run(folder, runs, **config):
-    """A run folder. runs: (task, seed) -> arrays."""
+    """Write a run folder and return its path. runs: (task, seed) -> arrays of that run."""
     folder.mkdir(parents=True)
     tasks, seeds = (list(dict.fromkeys(key[k] for key in runs)) for k in (0, 1))
     settings = {"algorithm": "cpo", "tasks": tasks, "seeds": seeds, "steps": 10_000}
@@ -33,7 +36,7 @@ def write_run(folder, runs, **config):
 
 
 def rows(kept_by):
-    """(rollout, start step, length, cost, longest streak) of a recorder's or wrapper's records."""
+    """Return (rollout, start step, length, cost, longest streak) of each record of a recorder."""
     kept = kept_by.records
     columns = (kept.rollout, kept.start_step, kept.length, kept.cost, kept.longest_streak)
     return list(zip(*(column.tolist() for column in columns), strict=True))
