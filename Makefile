@@ -83,6 +83,8 @@ LEVELS := 0 1 2 3
 OF_PAPER := trpo-lag cpo sac-lag sac-lb wcsac
 BESIDE := $(LEVELS:%=results/solve/runs.zip/Circle2D-%-v0-sac-lb-streak)
 BESIDE += $(foreach n,$(LEVELS),$(OF_PAPER:%=results/circle2d/runs.zip/Circle2D-$n-v0/%))
+# In the page's order of tasks.
+ON_SAFETY := runs sac-pid-cal half-cheetah push-trust-region push-others button-nine button-others car
 REPORT := $(BIN)/circle2d report
 
 results: $(VENV)/trains
@@ -91,7 +93,8 @@ results: $(VENV)/trains
 		--out results/baselines
 	-cd examples && ../$(REPORT) ../results/library/*.zip --import library_cpo \
 		--import library_sac_lag --out ../results/library
-	for folder in baselines/safety physics safety sensitivity solve solve/safety; do \
+	-$(REPORT) $(ON_SAFETY:%=results/baselines/safety/%.zip) --out results/baselines/safety
+	for folder in physics safety sensitivity solve solve/safety; do \
 		$(REPORT) results/$$folder/*.zip --out results/$$folder; done
 
 INTEGRATED := $(addprefix tests/emcc/test_emcc_,minari.py sb3.py tensordict.py) tests/test_examples.py

@@ -27,6 +27,7 @@ from agents.on_policy.epoch import (
     compared,
     divergence,
     raised_advantage,
+    ratios,
     taken,
 )
 from agents.on_policy.learner import OnPolicy
@@ -133,9 +134,7 @@ def surrogate_at(
 ) -> tuple[Tensor, Tensor]:
     """Return what the surrogate gives for a policy, [R] each. Raises ValueError for other
     shapes."""
-    held = batch.weight > 0  # elsewhere a narrow policy may give ∞, and 0 · ∞ is NaN
-    change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
-    returned = surrogate(config, policy, change.exp(), batch)
+    returned = surrogate(config, policy, ratios(policy, batch), batch)
     shapes, runs = [list(value.shape) for value in returned], len(policy.mean)
     if shapes != [[runs], [runs]]:  # of [R, B], the loss would be a sum over steps
         raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")

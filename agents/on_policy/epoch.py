@@ -160,15 +160,23 @@ def compared(nets: Nets, actor: Tensor, steps: Taken) -> tuple[Tensor, Tensor]:
     objective and the first learned cost, [R, 2] ([R, 1] if none is learned), and the mean KL
     divergence from the old to the new one, [R]."""
     policy = nets.actor.distribution(actor, steps.observation)
-    held = steps.weight > 0  # elsewhere a narrow policy may give ∞, and 0 · ∞ is NaN
-    change = torch.where(held, policy.log_prob(steps.action) - steps.old_log_prob, 0.0)
-    weighted = (steps.weight * change.exp())[:, None] * steps.gains
-    kl = torch.where(held, steps.old.kl(policy), 0.0)
-    return total(weighted), total(steps.weight * kl)
+    weighted = (steps.weight * ratios(policy, steps))[:, None] * steps.gains
+    return total(weighted), _mean_kl(steps.old, policy, steps)
+
+
+def ratios(policy: Gaussian, steps: Any) -> Tensor:
+    """Return `π(a|s) / π_old(a|s)`, [R, B], and 1 in rows of weight 0, where a narrow policy may
+    give ∞, and 0 · ∞ is NaN. steps: with action, old_log_prob and weight."""
+    change = policy.log_prob(steps.action) - steps.old_log_prob
+    return torch.where(steps.weight > 0, change, 0.0).exp()
 
 
 def divergence(nets: Nets, actor: Tensor, steps: Taken, reverse: bool = False) -> Tensor:
     """Return the mean KL divergence from the old to the new policy, or the reverse, [R]."""
     policy = nets.actor.distribution(actor, steps.observation)
-    kl = policy.kl(steps.old) if reverse else steps.old.kl(policy)
-    return total(steps.weight * torch.where(steps.weight > 0, kl, 0.0))
+    pair = (policy, steps.old) if reverse else (steps.old, policy)
+    return _mean_kl(*pair, steps)
+
+
+def _mean_kl(of: Gaussian, to: Gaussian, steps: Taken) -> Tensor:
+    return total(steps.weight * torch.where(steps.weight > 0, of.kl(to), 0.0))
