@@ -1,7 +1,7 @@
-"""A report's numbers, from the steps of episodes.
+"""Compute a report's numbers from the steps of episodes, independently of the package.
 
-Knows the paper's definitions and no code of the package: lists, loops and fractions instead of its
-arrays.
+This follows the paper's definitions with lists, loops and fractions and uses none of the package's
+code.
 """
 
 import math
@@ -9,12 +9,12 @@ import re
 from collections import Counter
 from statistics import fmean, stdev
 
-TIME_LIMIT = 50  # kept by gymnasium's wrapper, above what is written down
-T_OF_4 = 2.7764451  # Student's t of 4 degrees of freedom, of five runs, 97.5 %
+TIME_LIMIT = 50  # applied by gymnasium's wrapper, outside of the environment that records steps
+T_OF_4 = 2.7764451  # 97.5 % quantile of Student's t with 4 degrees of freedom, for five runs
 
 
 class Episode:
-    """From a reset to the first step that ends it; what an environment gives later is nobody's."""
+    """The steps from a reset to the first one that ends the episode; later steps are ignored."""
 
     def __init__(self):
         self.rewards, self.costs, self.last, self.over = [], [], None, False
@@ -28,7 +28,10 @@ class Episode:
 
 
 def of_training(epochs, in_all):
-    """Epochs count until the steps in all are reached."""
+    """Return the training's numbers over the epochs until `in_all` environment steps are reached.
+
+    epochs: for each epoch, its episodes.
+    """
     parts = {"0.33": [], "0.66": [], "0.99": []}
     rates = {name: [0.0, 0] for name in parts}
     steps, costs, later, chains = 0, 0.0, [], []
@@ -58,19 +61,21 @@ def of_training(epochs, in_all):
 
 
 def top(values, parts):
-    """The mean of exactly the highest of so many equal parts of the values: of every value as many
-    copies, of which as many count as there are values."""
+    """Return the mean of the highest 1 / `parts` of the values, with ties split exactly.
+
+    Each value is copied `parts` times, so that the highest len(values) copies are that share.
+    """
     copies = sorted(value for value in values for _ in range(parts))
     return fmean(copies[-len(values) :])
 
 
 def streaks(costs):
-    """Lengths of all chains of cost steps in an episode."""
+    """Return the lengths of all chains of cost steps in an episode."""
     return [len(chain) for chain in "".join("x" if c > 0 else " " for c in costs).split()]
 
 
 def highest(values, alpha):
-    """The mean of the values at or above the smallest x with P(value <= x) >= 1 - alpha."""
+    """Return the mean of the values at or above the smallest x with P(value <= x) >= 1 - alpha."""
     ordered = sorted(values)
     at = next(x for k, x in enumerate(ordered, 1) if k >= (1 - alpha) * len(ordered) - 1e-9)
     return fmean(x for x in ordered if x >= at)
@@ -89,7 +94,10 @@ def of_evaluation(episodes):
 
 
 def place(x, y):
-    """On level 3: a disc of radius 10; cut-outs by direction, depth and width."""
+    """Name the place of a point on level 3: a disc of radius 10 with cut-outs.
+
+    A cut-out has a direction in degrees, a depth and a width.
+    """
     side = ("right" if x >= 0 else "left") if abs(x) >= abs(y) else "top" if y >= 0 else "bottom"
     if math.hypot(x, y) >= 10:
         return f"{side} rim"
@@ -104,14 +112,17 @@ def place(x, y):
 
 
 def bounds(measure):
-    """Between which a mean can be: EMCC is a share, costs and streaks are not below 0."""
+    """Return the lowest and highest possible mean: EMCC is a share; costs and streaks are >= 0."""
     if measure == "J_R":
         return -math.inf, math.inf
     return 0.0, 1.0 if measure.startswith(("EMCC", "all")) else math.inf
 
 
 def interval(measure, values, runs):
-    """Student's t interval where all runs end in one place; otherwise the lowest and highest."""
+    """Return the printed form and both ends of the interval of a mean.
+
+    It is Student's t interval where all runs end in one place, else the lowest and highest run.
+    """
     if len({run["ends"].partition(" (")[0] for run in runs}) > 1:
         return "range {} to {}", min(values), max(values)
     half, (low, high) = T_OF_4 * stdev(values) / math.sqrt(len(values)), bounds(measure)
@@ -119,7 +130,7 @@ def interval(measure, values, runs):
 
 
 def is_mean(text, measure, values, runs):
-    """Whether "1.23 [0.45, 6.78]" is the mean of some values of runs with its interval."""
+    """Return whether a text like "1.23 [0.45, 6.78]" is the mean of `values` and its interval."""
     form, *ends = interval(measure, values, runs)
     pattern = re.escape(form).replace(r"\{\}", r"(\S+)")
     mean, low, high = re.fullmatch(rf"(\S+) {pattern}", text).groups()
@@ -127,17 +138,17 @@ def is_mean(text, measure, values, runs):
 
 
 def near(printed, value, digits=2):
-    """So many digits are printed, of sums that float32 may have rounded."""
+    """Return whether a value was printed correctly to `digits`, up to float32's rounding."""
     return abs(float(printed) - value) <= 0.501 * 10**-digits
 
 
 def tail(count, n, p):
-    """P(at least so many of n)."""
+    """Return P(at least `count` of n) for the binomial distribution."""
     return sum(math.comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(count, n + 1))
 
 
 def clopper_pearson(count, n):
-    """The shares of which so many of n, or more, and or fewer, are seen in 2.5 % of cases."""
+    """Return the 95 % Clopper-Pearson interval of a share, by bisection of both tails."""
 
     def solve(rises, aim):
         low, high = 0.0, 1.0

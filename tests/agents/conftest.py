@@ -1,4 +1,4 @@
-"""Tests of training run under the settings of training."""
+"""Run these tests with the process settings of a training and few evaluated episodes."""
 
 import pytest
 from small_runs import few_episodes

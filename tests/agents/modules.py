@@ -1,4 +1,4 @@
-"""Our flat parameters as PyTorch's own modules, one run at a time: the other side of tests."""
+"""Convert our flat parameters to PyTorch modules, one run at a time, as a reference for tests."""
 
 import numpy as np
 import torch
@@ -8,18 +8,18 @@ ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
 
 
 def linears(net):
-    """PyTorch's layers of a network's shape, in float64."""
+    """Return PyTorch's linear layers in the network's shape, in float64."""
     return [nn.Linear(a, b).double() for a, b in zip(net.sizes[:-1], net.sizes[1:], strict=True)]
 
 
 def plain(net):
-    """A module of a network's shape, with parameters of its own."""
+    """Return a module in the network's shape with PyTorch's initial parameters."""
     between = ACTIVATIONS[net.activation]
     return nn.Sequential(*[part for one in linears(net) for part in (one, between())][:-1])
 
 
 def module(net, vector):
-    """The same network as a module; vector: its parameters, [size]."""
+    """Return the network as a module; vector: its parameters, [size]."""
     found = plain(net)
     arrays = net.layers(vector.detach().double().numpy()[None])
     for parameter, array in zip(found.parameters(), arrays, strict=True):
@@ -28,7 +28,10 @@ def module(net, vector):
 
 
 def flat(net, module, of=lambda parameter: parameter.grad):
-    """A module's gradients, or what else `of` gives, in our order, 0 in the padding: [size]."""
+    """Return a module's gradients, or what `of` gives per parameter, in our flat layout: [size].
+
+    The padding is 0.
+    """
     vector = np.zeros((1, net.size))
     for parameter, array in zip(module.parameters(), net.layers(vector), strict=True):
         array[0] = of(parameter).detach().numpy().T
@@ -36,5 +39,5 @@ def flat(net, module, of=lambda parameter: parameter.grad):
 
 
 def data(parameter):
-    """The numbers of a parameter, for `flat`."""
+    """Return a parameter's values, for `flat`."""
     return parameter.data

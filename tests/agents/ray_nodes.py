@@ -1,4 +1,4 @@
-"""Clusters of Ray on this machine that lose nodes."""
+"""Ray clusters on this machine whose nodes can be killed."""
 
 import contextlib
 import os
@@ -9,7 +9,7 @@ from small_runs import processes
 
 
 def parents():
-    """The parent of each process."""
+    """Return the id of each process's parent, by the process's id."""
     found = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -19,10 +19,10 @@ def parents():
 
 @contextlib.contextmanager
 def nodes(count, root, monkeypatch, env=None):
-    """A cluster whose nodes have a core and a working folder of their own each.
+    """Start a cluster in which each node has one core and its own temporary folder.
 
-    Yields its address, and a function by folder that ends a node as a loss of power would. env: of
-    their processes.
+    Yields the cluster's address and, by folder, functions that end a node as a loss of power would.
+    env: environment variables of the nodes' processes.
     """
     from ray.cluster_utils import Cluster
 
@@ -37,7 +37,7 @@ def nodes(count, root, monkeypatch, env=None):
             training = processes(folder)
             of_ray = [parent for child, parent in parents().items() if child in training]
             cluster.remove_node(node, allow_graceful=False)
-            # Those of Ray first, so that they tell nothing of the end of the others.
+            # Ray's own processes first, so that they cannot report that the training ended.
             for process in (*of_ray, *training):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(process, signal.SIGKILL)

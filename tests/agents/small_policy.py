@@ -1,4 +1,4 @@
-"""A small policy as its parameters lie in memory, beside PyTorch's distributions."""
+"""A small policy, built from the memory layout of its parameters with PyTorch's distributions."""
 
 import torch
 from torch.distributions import Independent, Normal
@@ -11,13 +11,13 @@ SIZE = NETS.actor.size
 
 
 def normal(*shape, seed=0):
-    """Standard normal numbers, the same for the same seed."""
+    """Draw standard normal numbers, the same for the same seed."""
     generator = torch.Generator().manual_seed(seed)
     return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
 
 def policy(params, observation):
-    """One run's distribution, from the layout of its parameters."""
+    """Return one run's action distribution, from the layout of its parameters [SIZE]."""
     w1, b1, w2, b2, _, log_std, _ = params.split((64, 32, 64, 2, 30, 2, 30))
     mean = torch.tanh(observation @ w1.view(2, 32) + b1) @ w2.view(32, 2) + b2
     return Independent(Normal(mean, log_std.exp().expand_as(mean)), 1)

@@ -1,4 +1,4 @@
-"""Runs on the disk: written by hand in the form of a training, and what a training left."""
+"""Folders of runs: written by hand in the format of a training, and compared with each other."""
 
 import contextlib
 import csv
@@ -16,19 +16,19 @@ from agents.training.environments import view_of
 from agents.training.files import write_arrays
 
 TASK = "Circle2D-3-v0"
-# Of 12 rollouts with two episodes of 5 steps each, 120 steps: the longest streaks.
+# The longest streaks of 12 rollouts with two episodes of 5 steps each, 120 steps.
 STREAKS = [(0, 4), (5, 1), (2, 2), (3, 0), (5, 5), (1, 0), (2, 4), (0, 0), (1, 1), (3, 2), (2, 2)]
 STREAKS += [(0, 1)]
 
 TINY = {"backend": "numpy", "hidden": (8,)}
 SAC = TINY | {"random_steps": 40, "gradient_steps": 1, "batch_size": 32, "replay_size": 500}
 TRPO = TINY | {"episodes": 2, "critic_iterations": 2}
-"""Settings of trainings that take a fraction of a second."""
+"""Hyper-parameters of trainings that take a fraction of a second."""
 
 
 @contextlib.contextmanager
 def few_episodes(count=3):
-    """Trainings are evaluated by so few episodes."""
+    """Evaluate trainings by `count` episodes in this context."""
     before = derive.write_results.__defaults__, evaluation.SNAPSHOT_EPISODES
     derive.write_results.__defaults__, evaluation.SNAPSHOT_EPISODES = (count,), count
     try:
@@ -38,12 +38,12 @@ def few_episodes(count=3):
 
 
 def chain(cost, length):
-    """Costs of an episode that begins with a chain of cost steps."""
+    """Return the costs of an episode that begins with a chain of cost steps."""
     return [1.0] * cost + [0.0] * (length - cost)
 
 
 def write_steps(folder, run, costs, lengths, episodes, **more):
-    """The file of all steps of a training with one run. episodes: in each rollout."""
+    """Return the arrays of the file of all steps, for one run. episodes: in each rollout."""
     rollouts = len(lengths) // episodes
     arrays = {"costs/cost": np.array(costs, dtype=float), "length": np.array(lengths)}
     arrays |= {"return": np.full(len(lengths), -1.0)}
@@ -52,8 +52,10 @@ def write_steps(folder, run, costs, lengths, episodes, **more):
 
 
 def write_runs(folder, task=TASK, weight=1.0, lengths=(5,) * 24, each=2):
-    """Two runs of SAC-Lag on a task: their steps, with positions, and neither checkpoint nor
-    evaluation. weight: of a cost step; lengths: of episodes, `each` a rollout."""
+    """Write the steps and positions of two SAC-Lag runs, without checkpoints or evaluations.
+
+    weight: the cost of a cost step; lengths: of the episodes, of which each rollout has `each`.
+    """
     config = TrainConfig("sac-lag", (task,), (0, 1), 120, preset("sac-lag", task))
     config.write(folder)
     costs = [weight * cost for pair in STREAKS for streak in pair for cost in chain(streak, 5)]
@@ -67,7 +69,7 @@ def write_runs(folder, task=TASK, weight=1.0, lengths=(5,) * 24, each=2):
 
 
 def evaluate(folder, **more):
-    """`results.npz` of such runs: an evaluated episode of each, and further arrays."""
+    """Write `results.npz` of `write_runs`' folder: one evaluated episode per run, and `more`."""
     config = TrainConfig.read(folder)
     results = derive.derived(folder, config)
     one = {"returns": np.array([-5.25]), "costs": np.array([[3.0]]), "lengths": np.array([10])}
@@ -89,13 +91,13 @@ def write_evaluated(
     at=None,
     second=None,
 ):
-    """Evaluated runs of ten episodes of ten steps, of the seeds 0, 1, ... where none are given: for
-    each of `costs` a run with as many steps at a cost in each episode, in one chain, or with these
-    costs of its steps. second: the same of a second cost, "cost_2".
+    """Write evaluated runs of ten episodes of ten steps; the seeds default to 0, 1, ...
 
-    returns: of each run's evaluated episodes, -9 where none are given; evaluated: their costs,
-    those of the second cost are twice as high; of one for all runs, or of each. at: where each
-    episode of each run ends, in the arena's unit; without it nobody knows.
+    costs: one entry per run, either the length of the chain of cost steps that begins each episode,
+    or a list of all its steps' costs; second: the same for a second cost, "cost_2". returns: the
+    return of each run's evaluated episodes, by default -9. evaluated: the costs of the evaluated
+    episodes of each run, or of all runs; they are twice as high for "cost_2". at: where each
+    evaluated episode of each run ends, in units of the arena; without it no places are stored.
     """
     seeds = tuple(seeds or range(len(costs)))
     names = ("cost",) if second is None else ("cost", "cost_2")
@@ -125,14 +127,14 @@ def write_evaluated(
 
 
 def steps_of(folder, run, name):
-    """A column of all steps of a run, "task/seed", from the files of a training's steps."""
+    """Return a column of all environment steps of a run, which is named as "task/seed"."""
     files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
     return np.concatenate([file[f"{run}/{name}"] for file in files])
 
 
 @contextlib.contextmanager
 def checkpoints_often():
-    """A checkpoint whenever one is due by steps."""
+    """Write a checkpoint whenever one is due by steps, however long writing takes."""
     before, trainer.WRITING_SHARE = trainer.WRITING_SHARE, 1e9
     try:
         yield
@@ -141,8 +143,10 @@ def checkpoints_often():
 
 
 def edit_results(folder, **changes):
-    """Other arrays in `results.npz`, by their names with two underscores for each slash; None of
-    one that is to be missing."""
+    """Replace arrays in `results.npz`; None removes one.
+
+    Names have two underscores in place of each slash.
+    """
     with np.load(folder / "results.npz") as file:
         arrays = dict(file)
     arrays |= {name.replace("__", "/"): array for name, array in changes.items()}
@@ -150,19 +154,19 @@ def edit_results(folder, **changes):
 
 
 def cells(markdown):
-    """Cells of all tables of a text, by rows that have a name."""
+    """Return the cells of all rows with a name, of all tables in a text."""
     lines = (line for line in markdown.splitlines() if line.startswith("|"))
     rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
     return [row for row in rows if row[0].strip("-")]
 
 
 def lines_of(path):
-    """The lines of a table for programs, by its head."""
+    """Return the lines of a CSV file as dicts by its head."""
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
 def wait_until(condition, seconds=300):
-    """Until something is so, which it has to become in time."""
+    """Wait until a condition holds; fail after some seconds."""
     until = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < until
@@ -170,22 +174,22 @@ def wait_until(condition, seconds=300):
 
 
 def groups_of(*folders):
-    """The groups of folders, which are not named after each other."""
+    """Read the groups of each folder by itself, so that the folders do not affect each other."""
     return [group for folder in folders for group in read_folder(folder, folder.name)]
 
 
 def write_status(folder, share, speed=None, **sessions):
-    """`status.json` of a training; sessions: seconds that each process took."""
+    """Write `status.json` of a training; sessions: seconds that each process took."""
     each = {name: {"seconds": seconds} for name, seconds in sessions.items()}
     content = {"share": share, "steps_per_second": speed, "sessions": each}
     (folder / "status.json").write_text(json.dumps(content))
 
 
 def processes(*words):
-    """Ids of the processes whose command line has one of some words."""
+    """Return the ids of the processes whose command line contains one of the words."""
     found = set()
     for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):  # it ended meanwhile
+        with contextlib.suppress(OSError):  # the process has ended in the meantime
             line = path.read_bytes()
             if any(str(word).encode() in line for word in words):
                 found.add(int(path.parent.name))
@@ -193,12 +197,15 @@ def processes(*words):
 
 
 NO_RESULTS = ("status.json", "report.md", "report.csv", "measures.csv", ".lock", "worker.log")
-"""Timings, logs and the command's table."""
+"""Files with timings and logs, and the command's tables."""
 
 
 def results(folder):
-    """The bytes of every file that must not depend on interruptions: of checkpoints, which may be
-    due at other times, the newest, and of steps their numbers, run by run."""
+    """Return the bytes of every file that must not depend on interruptions.
+
+    Of the checkpoints, which may be due at other times, it is the newest one. The files of steps
+    are left out: `results.npz` has their numbers.
+    """
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
     paths = [path for path in paths if path.name not in NO_RESULTS and path.parent.name != "steps"]
     newest = {path.parent: path for path in paths if path.parent.name == "checkpoints"}
@@ -207,19 +214,19 @@ def results(folder):
 
 
 def run_of(folder, run):
-    """The arrays of one run: of its results, and of its state in the newest checkpoint."""
+    """Return the arrays of one run, from its results and its state in the newest checkpoint."""
     config = TrainConfig.read(folder)
     with np.load(folder / "results.npz") as file:
         found = {n[len(run.prefix) :]: file[n] for n in file if n.startswith(run.prefix)}
     index = config.runs.index(run)
     with np.load(sorted((folder / "checkpoints").glob("*.npz"))[-1]) as file:
         states = {f"state/{n}": file[n][index] for n in file if file[n].shape}
-    if "state/replay.rows" in states:  # behind its own is the others' space
+    if "state/replay.rows" in states:  # rows beyond a run's own are room for longer runs
         states["state/replay.rows"] = states["state/replay.rows"][: states["state/replay.stored"]]
     return found | states
 
 
 def differing(a, b):
-    """Names of the arrays that are not equal bit for bit."""
+    """Return the names of the arrays that are not equal bit for bit."""
     names = a.keys() | b.keys()
     return {n for n in names if n not in a or n not in b or a[n].tobytes() != b[n].tobytes()}

@@ -1,4 +1,4 @@
-"""Trainings of a few epochs, between which tests look."""
+"""Trainings of a few epochs in memory, which tests can stop and inspect after each epoch."""
 
 import dataclasses
 import tempfile
@@ -18,13 +18,13 @@ SMALL |= {"saute_discount": 1.0}  # tasks of toys have no time limit
 
 
 def small(name, **changes):
-    """Small hyper-parameters of an algorithm, of which it takes those that it has."""
+    """Return an algorithm's config with small values; settings that it lacks are ignored."""
     known = {field.name for field in dataclasses.fields(algorithm(name).config)}
     return algorithm(name).config(**{k: v for k, v in (SMALL | changes).items() if k in known})
 
 
 def trainer(config, folder=None):
-    """A trainer before its first epoch; without a folder it cannot save."""
+    """Return a trainer before its first epoch; without a folder it cannot save."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = folder or Path(temporary) / "run"
         if not (folder / "config.json").exists():
@@ -33,20 +33,20 @@ def trainer(config, folder=None):
 
 
 def trained(name, task="Walk-v0", seeds=(0, 1), steps=600, parameters=None, **changes):
-    """The finished training of some runs, in memory."""
+    """Return the finished training of some runs, in memory."""
     config = TrainConfig(name, (task,), seeds, steps, small(name, **changes), parameters or {})
     return finished(trainer(config))
 
 
 def finished(it):
-    """The trainer after its last epoch."""
+    """Train to the end and return the trainer."""
     while not it.done:
         it.run_epoch()
     return it
 
 
 def of_run(it, run):
-    """A run's parameters and what it recorded since the last save."""
+    """Return a run's parameters and what it recorded since the last save."""
     state = {k: v[run] for k, v in tree.flatten(it.learner._state).items()}
     prefix = it.config.runs[run].prefix
     rows = {k: np.concatenate(v) for k, v in it.recorder._new.items() if k.startswith(prefix)}
@@ -54,7 +54,7 @@ def of_run(it, run):
 
 
 def assert_same(a, b):
-    """Equal arrays of equal names, bit for bit."""
+    """Assert that both have the same names, and arrays that are equal bit for bit."""
     assert a.keys() == b.keys()
     for name, value in a.items():
         np.testing.assert_array_equal(value, b[name], err_msg=name)

@@ -1,4 +1,4 @@
-"""The entrance from Python: what it returns, what it leaves unchanged, and mistakes."""
+"""The Python interface: what it returns, what it leaves unchanged in the process, its errors."""
 
 import dataclasses
 import doctest
@@ -30,7 +30,7 @@ def runs(tmp_path_factory):
     return agents.train("trpo-lag", out=tmp_path_factory.mktemp("api") / "runs", **SMALL)
 
 
-def test_names():
+def test_public_names_are_listed_and_documented():
     assert set(agents.__all__) <= set(dir(agents))
     for name in agents.__all__:
         assert getattr(agents, name).__doc__
@@ -38,7 +38,7 @@ def test_names():
         _ = agents.teach
 
 
-def test_examples():
+def test_the_examples_in_docstrings_run():
     assert doctest.testmod(api, raise_on_error=True).attempted >= 7
 
 
@@ -56,7 +56,7 @@ def test_runs_stand_for_their_folder(runs, tmp_path):
         agents.load_policy(both)
 
 
-def test_frames(runs):
+def test_frames_have_the_numbers_of_results_and_records(runs):
     frame = runs.to_pandas()
     assert {"task", "algorithm", "seed", "measure", "part", "value"} <= set(frame.columns)
     [group] = runs.results
@@ -75,7 +75,7 @@ def test_frames(runs):
 
 
 def test_a_run_killed_before_its_first_epoch_hides_no_other(runs, tmp_path):
-    """It has no episode yet: records and frames are those of the others, bit for bit."""
+    """It has no episodes; records and frames are, bit for bit, those of the other runs."""
     shutil.copytree(runs.folder, tmp_path / "whole")
     dataclasses.replace(runs.config, seeds=(5,)).write(tmp_path / "killed")
     both = agents.load_runs(tmp_path)
@@ -93,7 +93,7 @@ def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
     write_archive(tmp_path / "runs.zip", runs.results)
     packed = agents.load_runs(tmp_path / "runs.zip")
     assert packed.table() == runs.table()
-    columns = ["task", "seed", "rollout", "step", "multiplier"]  # the curves of multipliers alone
+    columns = ["task", "seed", "rollout", "step", "multiplier"]  # an archive has no other metric
     updates = packed.to_pandas("updates")
     assert set(updates) == {"folder", "algorithm", *columns}
     expected = runs.to_pandas("updates")[columns]
@@ -103,7 +103,7 @@ def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
 
 
 def test_folders_that_differ_in_a_setting_are_told_apart(tmp_path):
-    """In each folder as many cost steps in every episode, of ten, as written here."""
+    """Every episode of ten steps has as many cost steps as written here."""
     costs = {(32, 32): (1, 2), (64,): (3, 4)}
     for hidden, each in costs.items():
         changed = dataclasses.replace(preset("sac-lag", "Circle2D-1-v0"), hidden=hidden)
@@ -120,9 +120,10 @@ def test_folders_that_differ_in_a_setting_are_told_apart(tmp_path):
 
 
 def test_settings_of_an_algorithm_that_is_not_imported_are_told_apart(tmp_path):
-    """Its sweep, as a page of the docs reads it: means by settings, of as many cost steps in every
-    episode of ten as written here; `compare` and `report` name them, too. What has not begun is
-    left out with a warning."""
+    """The mean by settings, as a page of the docs computes it, of the cost steps written here.
+
+    `compare` names the settings, too. A folder without complete runs is left out with a warning.
+    """
     for hidden, each in {(32, 32): (1, 2), (64,): (3, 4)}.items():
         changed = dataclasses.replace(preset("sac-lag", "Circle2D-1-v0"), hidden=hidden)
         folder = tmp_path / "nets" / str(len(hidden))
@@ -147,7 +148,7 @@ def test_settings_of_an_algorithm_that_is_not_imported_are_told_apart(tmp_path):
 
 
 def test_finished_runs_are_opened_again(runs, tmp_path):
-    """By a string, or from a folder above; without the module of an algorithm of one's own."""
+    """By a string, by a folder above, or without the module of a user-defined algorithm."""
     for name in "xy":
         shutil.copytree(runs.folder, tmp_path / "a" / name)
     again = agents.load_runs(str(tmp_path / "a"))
@@ -260,7 +261,7 @@ def state_of_process():
 
 
 @pytest.mark.parametrize("raises", [False, True])
-def test_a_guest_in_the_process(tmp_path, raises):
+def test_training_leaves_the_state_of_the_process_as_it_was(tmp_path, raises):
     def fail(epoch):
         during.append(torch.get_num_threads())
         if raises:
@@ -326,7 +327,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
     ],
 )
 def test_mistakes_of_train(arguments, message, tmp_path, monkeypatch):
-    """Nothing is written, neither there nor into the folder where it is called."""
+    """Nothing is written, neither to `out` nor to the current folder."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(agents.UserError, match=message):
         agents.train(**{"algorithm": "sac-lb", "steps": 50, "out": tmp_path / "x", **arguments})

@@ -1,4 +1,4 @@
-"""Settings that say at the field what is allowed."""
+"""Settings whose annotations say which values are allowed."""
 
 import math
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ def test_what_is_allowed(name):
 
 
 def test_numbers_of_numpy_become_pythons():
-    """Types and all: sweeps compare settings by their words."""
+    """In type as well, since sweeps compare the texts of settings."""
     given = {"share": 0.5, "count": 3, "flag": True, "sizes": (8, 4), "other": {"level": 2}}
     of_numpy = {"share": np.float64(0.5), "count": np.int64(3), "flag": np.bool_(True)}
     of_numpy |= {"sizes": tuple(np.array([8, 4])), "other": {"level": np.int8(2)}}
@@ -71,7 +71,7 @@ def test_numbers_of_numpy_become_pythons():
 
 
 def test_whole_floats_are_integers_as_on_the_command_line():
-    """Types and all; where a float is allowed it stays one."""
+    """In type as well; where a float is allowed, it stays a float."""
     given = {"count": 1e6, "every": np.float64(2.0), "share": 1.0, "index": -1e3}
     own = Own(**given)
     assert repr((own.count, own.every, own.share, own.index)) == "(1000000, 2, 1.0, -1000)"
@@ -88,9 +88,9 @@ def test_what_is_refused_and_how(name):
         assert str(error.value).endswith(f"got {value!r}")
 
 
-def test_a_default_of_ones_own_is_checked_by_its_own_type():
-    """Bounds hold for the annotation that they stand in: one that is overridden has its own, or
-    none, and a default that does not fit is refused as well."""
+def test_an_overriding_field_is_checked_by_its_own_annotation():
+    """Bounds belong to their annotation: a field that a subclass overrides has its own bounds or
+    none. A default that is not allowed is refused as well."""
 
     @dataclass(frozen=True)
     class Annotated_(Own):
@@ -133,14 +133,14 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("name", "field", "value", "allowed"), WRONG)
-def test_hyperparameters(name, field, value, allowed):
+def test_hyperparameters_out_of_bounds_are_refused(name, field, value, allowed):
     with pytest.raises(UserError, match=f"{field} must be .*{allowed}.*got {value}|{allowed}"):
         ALGORITHMS[name].config(**{field: value})
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_hyperparameters_of_all(name):
-    """Odd layers and every activation are allowed; no float may be an overflow or not a number."""
+def test_every_algorithm_checks_its_hyperparameters(name):
+    """Odd layer sizes are allowed; no float may be infinite, NaN or a text."""
     config = ALGORITHMS[name].config
     assert config(hidden=(1, 17), activation="silu").hidden == (1, 17)
     for field, value in vars(config()).items():

@@ -1,4 +1,4 @@
-"""Exported policies, as other libraries read them, against the policies themselves."""
+"""Exported policies, read by other libraries, against the policies themselves."""
 
 import json
 import re
@@ -28,7 +28,7 @@ NORMALIZED = {"normalize_observations": True, "input_scale": 1.0}
 
 @pytest.fixture(scope="module", params=["sac-lb", "trpo-lag", "sac-lag", "ppo-lag"])
 def folder(request, tmp_path_factory):
-    """Of a task with actions in [-2, 2]; the last two with normalised observations."""
+    """Runs on a task with actions in [-2, 2]; the last two algorithms normalise observations."""
     out = tmp_path_factory.mktemp("export") / "x"
     more = {"random_steps": 250} if request.param.startswith("sac") else {"evaluate_every": 100}
     more |= NORMALIZED if request.param in ("sac-lag", "ppo-lag") else {}
@@ -37,7 +37,7 @@ def folder(request, tmp_path_factory):
 
 
 def loaded(card, monkeypatch, folder):
-    """The function `policy` that the card's own code makes."""
+    """Return the function `policy` that the code on the card defines."""
     if "onnxruntime" in card:
         pytest.importorskip("onnxruntime")
     code = re.search(r"```python\n(.*?)```", card, re.S)[1]
@@ -64,8 +64,8 @@ def test_the_cards_code_gives_our_actions(folder, tmp_path, monkeypatch, format)
 
 @pytest.mark.parametrize("format", ["safetensors", "onnx"])
 def test_what_an_algorithm_adds_to_observations_is_an_input(tmp_path, monkeypatch, format):
-    """A limit of the longest streak: two numbers behind the two of the task, and a card that does
-    not call all four the task's."""
+    """A limit of the longest streak adds two numbers after the task's two, and the card says that
+    they are not the task's."""
     more = {"seeds": 0, "steps": 300, "streak_limit": 3.0, "out": tmp_path / "x"}
     runs = agents.train("ppo-lag", "Walk-v0", **(SMALL | NORMALIZED | more))
     card = export(runs.folder, format, tmp_path)[-1].read_text()
@@ -85,7 +85,7 @@ def test_what_an_algorithm_adds_to_observations_is_an_input(tmp_path, monkeypatc
     assert longest > 0
 
 
-def test_files_say_what_they_are(folder, tmp_path):
+def test_files_name_their_task_seed_and_step(folder, tmp_path):
     import onnx
     from safetensors import safe_open
 
@@ -98,7 +98,7 @@ def test_files_say_what_they_are(folder, tmp_path):
     assert (about["task"], about["seed"], about["step"]) == ("Walk-v0", "4", str(taken))
 
 
-def test_an_earlier_policy(tmp_path):
+def test_a_policy_from_during_training_can_be_exported(tmp_path):
     more = {"seeds": 0, "steps": 800, "evaluate_every": 400}
     runs = agents.train("trpo-lag", "Walk-v0", out=tmp_path, **more, **SMALL)
     path, card = export(runs.folder, "safetensors", step=400)
@@ -106,7 +106,7 @@ def test_an_earlier_policy(tmp_path):
     assert path.read_bytes() != export(runs.folder, "safetensors")[0].read_bytes()
 
 
-def test_policies_of_several_tasks_do_not_meet(tmp_path):
+def test_policies_of_several_tasks_have_folders_of_their_own(tmp_path):
     tasks = ("Circle2D-1-v0", "Circle2D-2-v0")
     runs = agents.train("trpo-lag", tasks, seeds=0, steps=100, out=tmp_path, **SMALL)
     files = [export(runs.folder, "safetensors", task=task)[0] for task in tasks]
@@ -115,7 +115,7 @@ def test_policies_of_several_tasks_do_not_meet(tmp_path):
 
 
 def test_the_command(folder, tmp_path, capsys):
-    """Into the folder of runs; policies of the package only into a folder of one's own."""
+    """It exports into the folder of runs; policies of the package need a folder for the files."""
     assert main(["export", str(folder), "--format", "safetensors", "--seeds", "4"]) == 0
     assert capsys.readouterr().out.split() == [
         str(folder / "exported" / name) for name in ("seed-4.safetensors", "README.md")
@@ -130,7 +130,7 @@ def test_the_command(folder, tmp_path, capsys):
 
 
 class Normed(torch.nn.Module):
-    """A layer with a normaliser before it that is no layer."""
+    """A linear layer whose input is scaled by a factor that is not part of any layer."""
 
     def __init__(self, weight, bias):
         super().__init__()
@@ -157,7 +157,7 @@ def normed(bias):
 
 @pytest.mark.parametrize(("bias", "words"), [(True, "differently"), (False, "Linear with bias")])
 def test_what_a_file_would_lack_is_refused(bias, words, tmp_path):
-    """The module is the policy; the layers that a file holds are not, or lack a bias."""
+    """The module acts as the policy does, but its layers alone do not, or a layer has no bias."""
     rule = Algorithm("Toy", toy_family.Numbers, toy_family.Rule(), normed(bias))
     with toy_family.known(algorithm=rule):
         folder = agents.train("toy", "Walk-v0", seeds=0, steps=50, out=tmp_path / "x").folder

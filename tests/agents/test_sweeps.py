@@ -1,4 +1,4 @@
-"""Sweeps over hyper-parameters, on either engine."""
+"""Sweeps over hyper-parameters, in local processes and on Ray."""
 
 import importlib
 import os
@@ -30,7 +30,7 @@ def test_every_combination_has_a_name():
 
 @pytest.mark.parametrize("letter", ["h", "\N{GREEK SMALL LETTER PI}"])
 def test_names_of_many_values_fit_a_folder(tmp_path, letter):
-    """Each has one of its own, and the same in every call."""
+    """The names differ from each other and are the same in every call."""
     many = {"hidden": ([300] * 90, [300] * 89 + [301]), letter * 60: (1, 2)}
     names = list(combinations_of(many))
     assert names == list(combinations_of(many))
@@ -70,16 +70,19 @@ gymnasium.register("OfAModule-v0", Mine, max_episode_steps=40)
 
 @pytest.fixture
 def importable(tmp_path, monkeypatch):
-    """A folder from which this process and others import."""
+    """A folder from which this process and its child processes import modules."""
     monkeypatch.syspath_prepend(tmp_path)
     path = os.pathsep.join([str(tmp_path), str(Path(toys.__file__).parent)])
     monkeypatch.setenv("PYTHONPATH", path, prepend=os.pathsep)
     return tmp_path
 
 
-def test_a_sweep_on_a_task_from_a_module_of_the_users(importable):
-    """Its processes import the module, though the id does not name it. All settings but seeds and
-    hyper-parameters are as in `train`; those of another sweep are refused."""
+def test_a_sweep_on_a_task_from_a_users_module(importable):
+    """Its processes import the module, though the task's id does not name it.
+
+    Settings that are no hyper-parameters work as in `train`. A folder of a sweep with other
+    settings is refused.
+    """
     (importable / "my_walk.py").write_text(MODULE)
     importlib.import_module("my_walk")
     settings = {"checkpoint_every": 50, "evaluate_every": 50, "task_parameters": {"scale": 2.0}}
@@ -100,7 +103,7 @@ def test_a_sweep_on_a_task_from_a_module_of_the_users(importable):
         sys.modules.pop("my_walk", None)
 
 
-def test_a_sweep_on_a_task_of_the_running_script(tmp_path, monkeypatch):
+def test_a_sweep_on_a_task_of_the_running_script_is_refused(tmp_path, monkeypatch):
     class Script(toys.Walk):
         pass
 
@@ -111,8 +114,7 @@ def test_a_sweep_on_a_task_of_the_running_script(tmp_path, monkeypatch):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_sweep_in_which_a_training_fails(importable):
-    """The error of its process is told, with its place."""
+def test_a_sweep_names_the_error_and_the_line_of_a_training_that_failed(importable):
     (importable / "my_toys.py").write_text("import toys\n\ntoys.register()\n")
     more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}
     more |= {"task_parameters": {"how": "raise", "at": 5}, "out": importable / "x"}
@@ -132,7 +134,7 @@ def test_a_sweep_goes_on_with_a_tuple_in_its_task_parameters(importable):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", "ray"])
-def test_a_sweep_is_its_trainings(tmp_path, engine):
+def test_a_sweep_gives_the_files_of_single_trainings(tmp_path, engine):
     if engine == "ray":
         pytest.importorskip("ray")
     options = {"seeds": (0, 1), "steps": 1500, "evaluation_episodes": 3}  # as this process does

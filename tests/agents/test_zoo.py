@@ -1,4 +1,4 @@
-"""The zoo: its table, recipes and policies belong together, and its name trains."""
+"""The zoo: its table, recipes and policies agree, and `train("zoo")` trains a task's recipe."""
 
 import dataclasses
 from importlib.resources import files
@@ -27,8 +27,8 @@ def test_rows_recipes_and_policies_are_of_the_same_tasks():
 
 @pytest.mark.parametrize("row", [row for _, row in agents.zoo().iterrows()], ids=lambda r: r.task)
 def test_a_policy_was_trained_by_its_recipe_and_does_what_its_row_says(row):
-    """The costs of single episodes are between 0 and over 100: ten have a wide mean. So
-    has the return on SafetyPointGoal2, of about one goal in an episode."""
+    """The bounds are wide, since ten episodes determine a mean only roughly: costs of single
+    episodes are between 0 and over 100, and SafetyPointGoal2 has about one goal an episode."""
     config = TrainConfig.read(agents.pretrained("zoo", row.task))
     own = recipe(row.task)
     assert (row.algorithm, row.steps) == (own.algorithm, own.steps)
@@ -67,7 +67,7 @@ def test_mistakes(capsys, tmp_path):
         ),
         (
             ["train", "trpo-pid", "--task", "SafetyCarPush2-v0", "--preset", "zoo", *out],
-            "the zoo has no agent for SafetyCarPush2-v0: ",  # it trained with the defaults
+            "the zoo has no agent for SafetyCarPush2-v0: ",  # once trained with the defaults
         ),
         (
             ["grid", "trpo-pid", "ppo-lag", "--task", GOAL, "--preset", "zoo", *out],

@@ -1,7 +1,7 @@
-"""A family of algorithms of one's own: linear policies in numpy, trained by a made-up rule.
+"""A user-defined family of algorithms: linear policies in NumPy, trained by a made-up rule.
 
-It is deterministic, has noise by seed and epoch, and a state that every step changes; it goes wrong
-in several ways. No run depends on the others.
+It is deterministic, draws noise by seed and epoch, has a state that every update changes, and fails
+on request in several ways. No run depends on the others.
 """
 
 import contextlib
@@ -28,13 +28,13 @@ class Numbers:
 
 
 class Rule(NamedTuple):
-    """The costs that are limited."""
+    """The number of costs that are limited."""
 
     costs: int = 1
 
 
 class Linear:
-    """Actions that are linear in the observation, and noise of each run's own."""
+    """Policies whose actions are linear in the observation; each run has its own noise."""
 
     metrics = ("loss", "size")
 
@@ -105,7 +105,7 @@ class Linear:
 
 @contextlib.contextmanager
 def known(name="toy", algorithm=None):
-    """The algorithm is registered meanwhile."""
+    """Register an algorithm, by default the toy one, in this context."""
     register(name, algorithm or Algorithm("Toy", Numbers, Rule(), Linear))
     try:
         yield

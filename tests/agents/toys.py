@@ -1,4 +1,4 @@
-"""Small tasks that tests register and train in."""
+"""Small tasks on which tests train."""
 
 import contextlib
 import os
@@ -11,11 +11,11 @@ from gymnasium.spaces import Box
 
 
 class Target(gym.Env):
-    """One step: reward -(a - 0.8)² and noise, cost (1 + a) / 2, a in [-1, 1].
+    """Episodes of one step: reward -(a - 0.8)² plus noise, cost (1 + a) / 2, a in [-1, 1].
 
-    With the cost limited to 0.6 the best action is a = 0.2, and the multiplier there is 2.4: it
-    balances the slopes, 2 (0.8 - 0.2) = λ / 2. The cost is linear, so that the policy's noise does
-    not move the optimum.
+    With a cost limit of 0.6 the best action is a = 0.2 and the multiplier there is 2.4, at which
+    both slopes are equal: 2 (0.8 - 0.2) = λ / 2. The cost is linear, so that the policy's noise
+    does not move the optimum.
     """
 
     observation_space = Box(-1.0, 1.0, (1,))
@@ -38,16 +38,16 @@ class Target(gym.Env):
 class Walk(gym.Env):
     """A walk on a line that ends early: when |x| > 1, or after at most 40 steps.
 
-    Actions in [-2, 2] move x by a tenth of them and some noise; a step with x > 0.5 costs 1. Its
-    observations are float64. Bad luck of probability `poison` makes the reward, the cost or the
-    observation NaN, the cost negative, or ends in an error or an exit.
+    Actions in [-2, 2] move x by a tenth of the action plus noise; a step with x > 0.5 costs 1.
+    Observations are float64. With probability `poison`, a step goes wrong as `poisons` says: its
+    reward, cost or observation is NaN, its cost is negative, or it raises an error or exits.
     """
 
     observation_space = Box(-np.inf, np.inf, (2,), np.float64)
     action_space = Box(-2.0, 2.0, (1,))
 
     def __init__(self, poison=0.0, poisons="reward", scale=1.0):
-        """scale: factor on observations, or one for each of their two numbers."""
+        """scale: a factor on observations, or one for each of the two numbers observed."""
         self.poison, self.poisons, self.scale = poison, poisons, scale
 
     def reset(self, *, seed=None, options=None):
@@ -78,11 +78,11 @@ class Walk(gym.Env):
 
 
 class Broken(gym.Env):
-    """Episodes of 20 steps; step `at` of each environment, counted over its episodes, goes wrong.
+    """Episodes of 20 steps; from step `at` on, counted over an environment's episodes, it fails.
 
-    `how` says in which way: "raise", "exit", "die", "hang", "reset" (the reset before that step
-    raises), or the name of what is odd: observation, reward, complex, cost, missing, negative.
-    "init": it cannot be made.
+    how: "raise", "exit", "die", "hang", "reset" (the next reset raises), "init" (it cannot be made)
+    or what is wrong with the step: "observation", "reward", "complex", "cost", "missing",
+    "negative".
     """
 
     observation_space = Box(-1.0, 1.0, (2,))
@@ -128,7 +128,7 @@ class TwoCosts(Walk):
 
 
 class Pressed(Walk):
-    """A walk that has its x recorded, and by how much it lies beyond 0.5."""
+    """A walk that has x recorded at each step, and by how much x exceeds 0.5."""
 
     recorded_info = {"x": "m", "beyond": "m"}  # noqa: RUF012
 
@@ -139,7 +139,7 @@ class Pressed(Walk):
 
 @contextlib.contextmanager
 def registered(**classes):
-    """Tasks by name, "-v0" apart, which gymnasium knows meanwhile."""
+    """Register tasks with gymnasium in this context, by their names without "-v0"."""
     for name, cls in classes.items():
         gym.register(f"{name}-v0", cls, disable_env_checker=True)
     try:
@@ -150,7 +150,7 @@ def registered(**classes):
 
 
 def register():
-    """Make the tasks known to gymnasium, as `Target-v0` and so on."""
+    """Register this module's tasks with gymnasium, as `Target-v0` and so on."""
     for cls in (Target, Walk, Broken, TwoCosts, Pressed):
         if f"{cls.__name__}-v0" not in gym.registry:
             gym.register(f"{cls.__name__}-v0", entry_point=cls, disable_env_checker=True)

@@ -1,4 +1,4 @@
-"""What training changes in the process, and the kernels it may take."""
+"""What training changes in the process, and which kernel it uses where C++ is not available."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ from agents.lockstep import backend, kernel
 
 
 def test_numpy_has_one_thread_in_training_and_the_callers_afterwards():
-    """Its idle threads spin: two trainings side by side were nine times slower with two each."""
+    """NumPy's idle threads spin: with two each, two trainings at once were nine times slower."""
 
     def of_numpy():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
@@ -46,8 +46,7 @@ print(runs.config.backend)
     [("/nowhere/c++", "No such file"), ("false", "Command"), ("true", "No such file")],
 )
 def test_without_a_compiler_training_goes_on_in_numpy(tmp_path, compiler, reason):
-    """Named in a warning; where C++ is asked for, the training is still done, and its file says
-    by what."""
+    """A warning gives the reason, and the configuration records the backend that was used."""
     own = os.environ | {
         "CXX": compiler,
         "XDG_CACHE_HOME": str(tmp_path),
@@ -72,8 +71,7 @@ def compiler():
         pytest.skip(str(error))
 
 
-def test_processes_that_compile_at_the_same_moment(tmp_path, compiler):
-    """All have a kernel, and leave one, and nothing else."""
+def test_processes_that_compile_at_the_same_moment_leave_one_kernel(tmp_path, compiler):
     own = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
     command = [sys.executable, "-c", BUILD]
     builds = [subprocess.Popen(command, env=own, stdout=subprocess.PIPE) for _ in range(3)]
@@ -82,23 +80,24 @@ def test_processes_that_compile_at_the_same_moment(tmp_path, compiler):
     assert kept.suffix == ".so"
 
 
-def test_a_home_where_nothing_can_be_kept(tmp_path, compiler, monkeypatch):
+def test_a_kernel_is_built_where_no_cache_can_be_written(tmp_path, compiler, monkeypatch):
     home = tmp_path / "home"
-    home.write_text("no folder, so that root cannot write into it either")
+    home.write_text("a file, so that not even root can write into it as a folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(home))
     monkeypatch.setattr(kernel.tempfile, "tempdir", str(tmp_path))
     assert kernel.error_of(kernel.in_cpp.__wrapped__()) < kernel.TOLERANCE
     assert list(tmp_path.iterdir()) == [home]
 
 
-def test_the_cache_of_another_processor(tmp_path, compiler, monkeypatch):
-    """Its code is left, and not loaded."""
+def test_a_kernel_cached_by_another_processor_is_kept_and_not_loaded(
+    tmp_path, compiler, monkeypatch
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with monkeypatch.context() as there:
         there.setattr(kernel, "_processor", lambda: b"flags: another's")
         kernel.in_cpp.__wrapped__()
     (its,) = (tmp_path / "circle2d-mj").iterdir()
-    its.unlink()  # the file that this process runs stays as it is
+    its.unlink()  # rather than overwriting the file that this process has loaded
     its.write_bytes(b"cannot be loaded here")
     assert kernel.error_of(kernel.in_cpp.__wrapped__()) < kernel.TOLERANCE
     assert its.read_bytes() == b"cannot be loaded here"

@@ -1,4 +1,4 @@
-"""The kernel in C++ and in NumPy: against each other, PyTorch and itself among other networks."""
+"""The kernels in C++ and NumPy against each other and PyTorch; a run alone and among others."""
 
 from itertools import pairwise
 
@@ -39,9 +39,11 @@ shapes = st.tuples(
 
 @settings(max_examples=60, deadline=None)
 @given(shapes)
-def test_both_are_float64s_autograd_but_for_rounding(shape):
-    """Values, both products and that with a policy's curvature, for any depth and width; a network
-    is, bit for bit, what it is alone."""
+def test_both_kernels_agree_with_autograd_in_float64(shape):
+    """Values, both gradients and the product with a policy's curvature, for any depth and width.
+
+    A network's numbers are, bit for bit, those of the network alone.
+    """
     n_in, hidden, n_out, activation, inputs, share, rows = shape
     net, nets = MLP((n_in, *hidden, n_out), activation), inputs * share
     rng = np.random.default_rng(0)
@@ -93,7 +95,7 @@ def test_both_are_float64s_autograd_but_for_rounding(shape):
 
 
 def passed(own, dtype, net, loss, log_std, start, *pass_):
-    """Parameters [R, K, P] after a pass from `start`, and records [R, K]."""
+    """Return the parameters [R, K, P] after a pass from `start`, and the records [R, K]."""
     x, order, steps, batch_size = pass_
     runs, k, size = start.shape
     params = start.astype(dtype).reshape(runs * k, size)
@@ -108,9 +110,11 @@ def passed(own, dtype, net, loss, log_std, start, *pass_):
 
 @settings(max_examples=20, deadline=None)
 @given(shapes, st.integers(1, 100), st.booleans())
-def test_a_pass_is_float64s_but_for_rounding(shape, batch_size, policy):
-    """Of policies or of critics, of any number of rows and in any batches; a run is, bit for bit,
-    what it is alone."""
+def test_a_pass_over_minibatches_agrees_with_one_in_float64(shape, batch_size, policy):
+    """For policies and critics, any number of rows and any batch size.
+
+    A run's numbers are, bit for bit, those of the run alone.
+    """
     n_in, hidden, n_out, activation, runs, share, rows = shape
     rng = np.random.default_rng(0)
     steps = rng.integers(rows, size=runs) + 1
@@ -139,8 +143,7 @@ def test_a_pass_is_float64s_but_for_rounding(shape, batch_size, policy):
             np.testing.assert_array_equal(values[-1:], its)
 
 
-def test_what_is_not_a_number_stays_so():
-    """In a run's own outputs and gradients alone."""
+def test_nan_stays_in_its_own_run():
     net = MLP((2, 32, 1))
     params = np.stack([net.initial(np.random.default_rng(0)) for _ in range(2)])
     params[1, 0] = np.nan
@@ -162,7 +165,7 @@ def test_a_kernel_that_computes_wrongly_is_not_taken():
 
 
 def trained_in(backend, name, seeds, **changes):
-    """The files of a training's runs."""
+    """Return the finished trainer of some runs, trained with a kernel."""
     kernel.use(backend)
     try:
         config = TrainConfig(name, ("Walk-v0",), seeds, 150, small(name, **changes))
@@ -178,9 +181,11 @@ def assert_one_but_for_rounding(found, expected, near):
 
 
 @pytest.mark.parametrize("name", ["ppo-lag", "cpo", "sac-lag", "cup", "wcsac"])
-def test_trainings_in_cpp_and_numpy_are_one_but_for_rounding(name):
-    """After the first epochs; in either a run is, bit for bit, what it is alone. Conjugate
-    gradients with vectors of single precision took CPO's policies 8e-5 apart."""
+def test_trainings_in_cpp_and_numpy_agree_up_to_rounding(name):
+    """After the first epochs; with either kernel a run is, bit for bit, what it is alone.
+
+    The tolerance is sharp: conjugate gradients in single precision differ by 8e-5 for CPO.
+    """
     kernels()
     found, odd = {}, {} if "sac" in name else {"batch_size": 20, "hidden": (17, 40)}
     for backend in ("c++", "numpy"):
@@ -192,7 +197,7 @@ def test_trainings_in_cpp_and_numpy_are_one_but_for_rounding(name):
 
 @pytest.mark.parametrize("batch_size", [20, 32])
 def test_a_rule_trains_alike_by_autograd_and_in_closed_form(batch_size, monkeypatch):
-    """And is, bit for bit, what it is alone."""
+    """By autograd, too, a run is, bit for bit, what it is alone."""
     kernels()
     how = {"batch_size": batch_size}
     closed = of_run(trained_in("c++", "ppo-lag", (0, 1), **how), 1)

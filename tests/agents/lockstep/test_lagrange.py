@@ -1,4 +1,4 @@
-"""Multipliers of all three forms rise exactly when the cost is above its limit."""
+"""The updates of multipliers, by hand, for each form and optimizer."""
 
 from dataclasses import dataclass, replace
 
@@ -50,17 +50,17 @@ def test_rises_exactly_when_the_cost_is_above_the_limit(name, optimizer):
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_slope_against_finite_differences(name):
+def test_the_slope_of_a_form_against_finite_differences(name):
     h, form = 1e-6, FORMS[name]
     at = np.array([-30.0, 0.1, 0.7, 3.0])
     expected = (form.value(at + h) - form.value(at - h)) / (2 * h)
     np.testing.assert_allclose(form.slope(at), expected, rtol=1e-6, atol=1e-8)
 
 
-def test_steps_by_hand():
-    """Plain gradient, λ = 0.5, lr 0.1: 0.5 + 0.1·2 = 0.7 and 0.5 - 0.1·3 = 0.2; lr 0.5 would give
-    -1 there, which is projected to 0. Softplus: its slope at 0 is ½, so 0 + 0.1·½·2 = 0.1. Adam's
-    first step is the step size."""
+def test_steps_of_sgd_and_adam_by_hand():
+    """SGD from λ = 0.5 at lr 0.1: 0.5 + 0.1·2 = 0.7 and 0.5 - 0.1·3 = 0.2; at lr 0.5 the second is
+    -1, which is projected to 0. Softplus has the slope ½ at 0, so 0 + 0.1·½·2 = 0.1. The first step
+    of Adam has the size of its learning rate."""
     config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")
 
     def step(form, config):
@@ -77,12 +77,13 @@ def test_steps_by_hand():
 
 
 def test_ten_steps_of_pid_by_hand():
-    """k_P = ½, k_I = 0.1, k_D = 2, d = 4, from λ = 0.3; the averages start at 0.
+    """k_P = ½, k_I = 0.1, k_D = 2, d = 4, from λ = 0.3; the smoothed cost c starts at 0.
 
-    First, cost 4: Δ = 0, I = 0.3, c = 0.05·4 = 0.2, λ = 0 + 0.3 + 2·0.2 = 0.7. Second, cost 8:
-    Δ = 4, I = 0.7, c = 0.19 + 0.4 = 0.59, λ = 2 + 0.7 + 2·0.39 = 3.48. Third, cost 0: Δ = -4,
-    I = 0.3, c falls, λ = (-2 + 0.3)₊ = 0. Fourth, cost 6: Δ = 2, I = 0.5, c = 0.532475 + 0.3, which
-    is 0.271975 more, λ = 1 + 0.5 + 0.54395 = 2.04395; and so on.
+    1. Cost 4: Δ = 0, I = 0.3, c = 0.05·4 = 0.2, λ = 0 + 0.3 + 2·0.2 = 0.7.
+    2. Cost 8: Δ = 4, I = 0.7, c = 0.19 + 0.4 = 0.59, λ = 2 + 0.7 + 2·0.39 = 3.48.
+    3. Cost 0: Δ = -4, I = 0.3, c falls, λ = (-2 + 0.3)₊ = 0.
+    4. Cost 6: Δ = 2, I = 0.5, c = 0.532475 + 0.3 = 0.832475, a rise of 0.271975,
+       λ = 1 + 0.5 + 0.54395 = 2.04395; and so on.
     """
     config = Config(0.5, 0.1, 2.0, initial_multiplier=0.3, multiplier_optimizer="pid")
     costs = [4.0, 8.0, 0.0, 6.0, 20.0, 20.0, 3.0, 0.0, 0.0, 10.0]
@@ -90,7 +91,7 @@ def test_ten_steps_of_pid_by_hand():
     one, found = One(PROJECTED, config, 2), []
     assert one.value == [pytest.approx(0.3)] * 2
     for cost in costs:
-        # The second run's costs are always 0: its integral falls to 0 and no further.
+        # The second run's costs are always 0, so its integral falls to 0 and stays there.
         found.append(one.follow(np.array([[cost], [0.0]])).value)
     assert [value for value, _ in found] == pytest.approx(expected, abs=1e-5)
     assert [value for _, value in found] == [0.0] * 10
@@ -98,7 +99,7 @@ def test_ten_steps_of_pid_by_hand():
     assert one.state.smoothed_cost[0].tolist() == [pytest.approx(2.828839)] * LANES
 
 
-def test_a_law_by_hand():
+def test_a_user_defined_law_by_hand():
     """λ ← λ·(1 + 0.1 (c - 4)) from 0.5: 0.5·1.2 = 0.6, 0.5·0.7 = 0.35; a cost of -8 gives
     0.5·(1 - 1.2) < 0, which is projected to 0."""
 
@@ -118,10 +119,13 @@ def test_a_law_by_hand():
         One(form, Config(), 3)
 
 
-def test_several_follow_their_own_costs_and_limits():
-    """Plain gradients at lr 0.1 from 0.5. The first follows cost 1 above 7, the second cost 0 above
-    4 through softplus, the third cost 1 above 4: 0.5 + 0.1·(10 - 7) = 0.8, 0.5 + 0.1·σ(0.5)·(5 - 4)
-    = 0.5622459, 0.5 + 0.1·6 = 1.1; in the second run, of costs 2 and 6, 0.4, 0.3755081 and 0.7."""
+def test_several_multipliers_follow_their_own_costs_and_limits():
+    """SGD at lr 0.1 from 0.5, in a run with the costs 5 and 10.
+
+    The first multiplier limits cost 1 to 7: 0.5 + 0.1·(10 - 7) = 0.8. The second limits cost 0 to 4
+    through softplus: 0.5 + 0.1·σ(0.5)·(5 - 4) = 0.5622459. The third limits cost 1 to 4:
+    0.5 + 0.1·6 = 1.1. In a run with the costs 2 and 6 they are 0.4, 0.3755081 and 0.7.
+    """
     second = Multiplier(PROJECTED, 1, "second_limit")
     rule = second, Multiplier(SOFTPLUS), Multiplier(PROJECTED, 1)
     config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")

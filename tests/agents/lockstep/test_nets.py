@@ -1,4 +1,4 @@
-"""Networks with a run axis and Adam against PyTorch's, one run at a time."""
+"""Networks with a run axis against PyTorch's modules, one run at a time."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def parameters(net, n):
 
 @pytest.mark.parametrize(("activation", "sizes"), EVERY)
 def test_update_acting_and_export_are_one_network(activation, sizes):
-    """Other modules, whose weights are drawn by PyTorch, say the same as all three."""
+    """All three against PyTorch's own modules, with weights that PyTorch drew."""
     net = MLP(sizes, activation)
     theirs = [plain(net) for _ in range(5)]
     params = torch.stack([flat(net, one, lambda p: p) for one in theirs])
@@ -40,9 +40,9 @@ def test_update_acting_and_export_are_one_network(activation, sizes):
 
 
 @pytest.mark.parametrize(("activation", "sizes"), EVERY)
-def test_gradient(activation, sizes):
-    """The gradient of a sum over networks, in float64, against a backward pass for each module; in
-    the padding it is exactly 0."""
+def test_the_gradient_is_that_of_each_network_alone(activation, sizes):
+    """The gradient of a sum over networks against a backward pass of each PyTorch module, in
+    float64. In the padding it is exactly 0."""
     net = MLP(sizes, activation)
     params = parameters(net, 3).double()
     x = torch.randn(3, 9, sizes[0], generator=torch.Generator().manual_seed(1)).double()
@@ -58,13 +58,13 @@ def test_gradient(activation, sizes):
         assert (row[padding] == 0).all()
 
 
-def test_flat_vector_is_padded():
-    assert MLP((2, 64, 64, 4)).size == 4640  # 2·64 + 64 + 64·64 + 64 + 64·4 + 4 = 4612, to 32s
+def test_the_flat_vector_is_padded_to_a_multiple_of_32():
+    assert MLP((2, 64, 64, 4)).size == 4640  # 2·64 + 64 + 64·64 + 64 + 64·4 + 4 = 4612
     assert MLP((2, 33, 4)).size == 256  # 2·33 + 33 + 33·4 + 4 = 235
     assert all(MLP(sizes).size % LANES == 0 for sizes in SIZES)
 
 
-def test_initial_parameters_are_pytorchs():
+def test_initial_parameters_are_distributed_as_pytorchs():
     """Uniform in ±1/√(inputs), weights and biases alike."""
     net = MLP((16, 401, 9))
     weight1, bias1, weight2, bias2 = net.layers(net.initial(np.random.default_rng(0))[None])
@@ -77,8 +77,8 @@ def test_initial_parameters_are_pytorchs():
     ("name", "activation"), [("sac-lag", "silu"), ("trpo-lag", "tanh"), ("ppo-lag", "relu")]
 )
 def test_trained_networks(name, activation):
-    """After a training with odd layers: a run is bit for bit what it is alone, the padding is still
-    exactly 0, and the policy acts as its update and its export say."""
+    """After a training with odd layer sizes a run is, bit for bit, what it is alone, the padding is
+    still exactly 0, and acting, update and export compute the same policy."""
     sizes = {"hidden": (17, 40), "activation": activation, "input_scale": (7.0, 0.3), "steps": 200}
     it, alone = (trained(name, seeds=seeds, **sizes).learner for seeds in ((0, 1), (1,)))
     whole, own = it.state_dict(), alone.state_dict()

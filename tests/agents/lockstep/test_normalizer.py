@@ -1,4 +1,4 @@
-"""Observations normalised by what a run has seen, against NumPy, torch and Stable-Baselines3."""
+"""The normalisation of observations, against NumPy, PyTorch and Stable-Baselines3."""
 
 import gymnasium as gym
 import numpy as np
@@ -19,8 +19,9 @@ FAMILIES = ("ppo-lag", "trpo-lag", "sac-lag")
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 7), min_size=4, max_size=4), min_size=1, max_size=5))
-def test_moments_are_those_of_all_steps_that_count(epochs):
-    """Two runs of two episodes each, of any lengths; far from 0, where sums of squares cancel."""
+def test_moments_are_those_of_all_steps_within_episodes(epochs):
+    """Two runs of two episodes each, of any lengths, with a mean far from 0, where sums of squares
+    would cancel."""
     rng = np.random.default_rng(1)
     normalizer, seen = Normalizer(2, 3), [[], []]
     for lengths in epochs:
@@ -36,7 +37,7 @@ def test_moments_are_those_of_all_steps_that_count(epochs):
 
 
 def test_statistics_are_those_of_vecnormalize():
-    """On one stream; it begins from 1e-4 of a step with mean 0 and variance 1."""
+    """On the same observations; VecNormalize starts from 1e-4 of a step with mean 0, variance 1."""
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
     stream = np.random.default_rng(2).normal([3.0, -1.0], [0.5, 40.0], (500, 4, 2))
     stream = stream.astype(np.float32)
@@ -69,8 +70,11 @@ def test_statistics_are_those_of_vecnormalize():
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_networks_see_the_moments_of_the_epochs_before(name):
-    """Actions and learned rows, in torch's own layers; the replay keeps plain observations."""
+def test_networks_use_the_moments_of_the_epochs_before(name):
+    """Actions against PyTorch's layers on observations normalised here.
+
+    The replay keeps plain observations and normalises them when they are drawn.
+    """
     own = small(name, normalize_observations=True)
     it = trainer(TrainConfig(name, ("Walk-v0",), (0, 1), 2_000, own, {"scale": (1e3, 1e-3)}))
     seen, plain_learn = [[], []], it.learner.learn
@@ -111,7 +115,7 @@ def test_networks_see_the_moments_of_the_epochs_before(name):
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_policy_acts_by_the_moments_of_its_training(name, tmp_path):
-    """Frozen: acting changes nothing. Another module than the network's own numbers would give."""
+    """They are frozen: evaluating the policy does not change it. The PyTorch module agrees."""
     own = {"normalize_observations": True, "steps": 400, "evaluation_episodes": 2}
     runs = agents.train(name, "Walk-v0", seeds=[5], out=tmp_path / "x", **own)
     policy = agents.load_policy(runs.folder)
@@ -124,6 +128,6 @@ def test_a_policy_acts_by_the_moments_of_its_training(name, tmp_path):
     np.testing.assert_allclose(found, first, atol=1e-5)
 
 
-def test_a_scale_beside_it_is_refused():
+def test_normalisation_with_an_input_scale_is_refused():
     with pytest.raises(agents.UserError, match="input_scale must be 1 with normalize_observations"):
         small("ppo-lag", normalize_observations=True, input_scale=15.0)

@@ -1,5 +1,5 @@
-"""Episodes of different lengths, side by side, against what was scripted; rollouts as algorithms
-learn from them: scaled observations, costs that grow along a streak."""
+"""Rollouts of episodes of different lengths against scripted environments; the scaled observations
+and streak costs that algorithms learn from."""
 
 import gymnasium as gym
 import numpy as np
@@ -18,8 +18,8 @@ from emcc import StreakCost
 
 
 class Countdown(gym.Env):
-    """Lasts `seed` steps; observation: steps taken; reward 10 + step; costs: steps taken so far,
-    and 2 where that is even."""
+    """An episode of `seed` steps: the observation is the number of steps taken, t, and the reward
+    10 + t. The costs are "cost", t, and "jerk", 2 where t is even."""
 
     observation_space = Box(-np.inf, np.inf, (1,))
     action_space = Box(-1.0, 1.0, (1,))
@@ -45,8 +45,8 @@ def scripted(**kwargs):
     return SyncVectorEnv([lambda: Countdown(**kwargs)] * 3, autoreset_mode=AutoresetMode.DISABLED)
 
 
-def test_side_by_side():
-    """As 3 and 3 environments of their own; scripted ones refuse steps beyond their end."""
+def test_two_vector_environments_side_by_side_give_what_each_gives_alone():
+    """The scripted environments refuse steps beyond the end of an episode."""
     parts = [scripted(), scripted(truncates=True)]
     seeds, active = [2, 7, 4, 3, 3, 9], np.array([True] * 5 + [False])
     rollout = collect(SideBySide(parts, ("cost",)), seeds, lambda obs: -0.1 * obs, active)
@@ -69,8 +69,8 @@ def test_lengths_sums_and_ends(truncates):
     envs = scripted(truncates=truncates)
     rollout = collect(envs, [2, 7, 4], lambda obs: -0.1 * obs, costs=("cost", "jerk"))
     assert rollout.length.tolist() == [2, 7, 4]
-    # Σ (10 + t) = 10 n + n (n + 1) / 2: 23, 98, 50; costs Σ t: 3, 28, 10;
-    # even numbers up to n: 1, 3, 2
+    # Returns Σ (10 + t) = 10 n + n (n + 1) / 2: 23, 98, 50. Costs Σ t: 3, 28, 10; and 2 for each
+    # even number up to n, of which there are 1, 3, 2.
     assert rollout.returns.tolist() == [23.0, 98.0, 50.0]
     assert rollout.cost_returns.tolist() == [[3.0, 2.0], [28.0, 6.0], [10.0, 4.0]]
     ends = rollout.truncated if truncates else rollout.terminated
@@ -85,7 +85,7 @@ def test_lengths_sums_and_ends(truncates):
 
 @pytest.mark.parametrize("bad", ["action", "observation", "start", "reward", "jerk"])
 def test_an_episode_with_a_number_that_is_not_finite_is_void_and_says_which(bad):
-    """In the second step of the second of three; the others are as they are without."""
+    """It occurs in the second step of the second of three episodes; the others do not change."""
 
     class Bad(Countdown):
         def reset(self, **options):
@@ -130,7 +130,7 @@ def test_actions_are_kept_as_chosen_and_taken_clipped():
     assert taken == [-1.0, -0.5, 0.5]
 
 
-def test_an_episode_that_never_ends():
+def test_an_episode_that_never_ends_is_an_error():
     how = {"act": lambda observation: observation, "most_steps": 6}
     assert collect(scripted(), [2, 6, 4], **how).length.max() == 6
     with pytest.raises(TaskFailure, match=r"has not ended after 6 steps: .* max_episode_steps"):
@@ -152,8 +152,10 @@ def test_streaks_by_hand():
 
 
 def test_costs_and_observations_are_those_of_the_wrapper():
-    """On episodes of different lengths, against `emcc.StreakCost` around each environment; a second
-    cost, another number of times the first, has a streak of its own."""
+    """On episodes of different lengths, against `emcc.StreakCost` around each environment.
+
+    A second cost has a streak of its own, whatever the factor between both costs.
+    """
 
     def episodes(wrap):
         makers = [lambda: wrap(gym.wrappers.TimeLimit(Walk(), 40))] * 6
@@ -181,8 +183,8 @@ def test_costs_and_observations_are_those_of_the_wrapper():
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_critics_alone_see_the_streak_and_records_keep_the_plain_cost(name):
-    """One more weight for each unit of their first layer; the policy has as many as without. Walk's
-    steps cost 0 or 1, whatever is learned."""
+    """The critics have one more input, the policy has none. The recorded costs of Walk's steps are
+    0 or 1, whatever cost is learned."""
     both = [trained(name, streak_weight=w) for w in (0.0, 3.0)]
     plain, of_streaks = (it.learner for it in both)
     assert of_streaks.nets.critic.sizes[0] == plain.nets.critic.sizes[0] + 1
@@ -196,9 +198,8 @@ def test_the_critics_alone_see_the_streak_and_records_keep_the_plain_cost(name):
 @pytest.mark.parametrize(
     ("name", "scale"), [("trpo-lag", 16.0), ("ppo-lag", (16.0, 0.5)), ("sac-lb", (16.0, 0.5))]
 )
-def test_the_scale_is_that_of_observations(name, scale):
-    """A scale in the networks is, bit for bit, one in the task: a power of two only moves the
-    exponent."""
+def test_an_input_scale_trains_as_a_task_with_scaled_observations(name, scale):
+    """Bit for bit, since multiplying by a power of two changes the exponent alone."""
     inside = trained(name, input_scale=scale)
     outside = trained(name, parameters={"scale": scale})
     expected = outside.learner.state_dict()
@@ -208,7 +209,7 @@ def test_the_scale_is_that_of_observations(name, scale):
         assert (trained(name).learner.state_dict()["actor"] != expected["actor"]).any()
 
 
-def test_a_scale_for_each_number_needs_as_many(tmp_path):
+def test_input_scales_must_be_as_many_as_the_observations_numbers(tmp_path):
     with pytest.raises(agents.UserError, match=r"input_scale .* 2, .*got \(1.0, 2.0, 3.0\)"):
         agents.train("cpo", "Walk-v0", seeds=[0], out=tmp_path, input_scale=[1.0, 2.0, 3.0])
     assert not list(tmp_path.iterdir())

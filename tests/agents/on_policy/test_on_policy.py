@@ -1,5 +1,5 @@
-"""Learning on-policy: an epoch of episodes, packed end to end; advantages from their definition;
-the clipped surrogate by hand; steps of Adam against PyTorch's own; runs side by side."""
+"""On-policy learning: targets and advantages by their definitions, packed rows, the clipped
+surrogate by hand, minibatch passes against PyTorch's Adam, and runs side by side."""
 
 import math
 
@@ -33,9 +33,9 @@ def learner(rule, config, seeds=(0,)):
 
 
 def episodes(lengths, draw):
-    """A rollout of episodes that `draw`, (n, length) -> columns, fills; NaN beyond their ends.
+    """Return a rollout of episodes that `draw`, (n, length) -> columns, fills; NaN beyond its ends.
 
-    Episodes of even number end in a terminal state, the others are cut off.
+    Episodes 0, 2, ... end in a terminal state; the others are truncated.
     """
     steps, n = max(lengths), len(lengths)
     widths = (OBSERVATION, ACTION, None, COSTS, OBSERVATION)
@@ -52,7 +52,7 @@ def episodes(lengths, draw):
 
 
 def saying(critic, values):
-    """Parameters of critics that say a constant each, [1, 2, size]."""
+    """Return the parameters [1, 2, size] of two critics whose outputs are constant."""
     params = np.zeros((2, critic.size), np.float32)
     critic.layers(params)[-1][:, 0, 0] = values
     return torch.from_numpy(params)[None]
@@ -60,11 +60,11 @@ def saying(critic, values):
 
 @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
 def test_an_epoch_by_hand(time_limit):
-    """Critics say 2 and 4; γ = ½, λ = 0, so that A = r + ½ V' - V.
+    """The critics' values are 2 and 4; γ = ½ and λ = 0, so that A = r + ½ V' - V.
 
-    The first episode, r = 5 and c = 2, ends in a terminal state: targets 5 and 2. The second,
-    r = 1, 3 and c = 1, 0, is cut off: targets 1 + ½·2 = 2 and 1 + ½·4 = 3, then bootstrapping
-    3 + ½·2 = 4 and 0 + ½·4 = 2, or else 3 and 0.
+    The first episode, r = 5 and c = 2, ends in a terminal state: its targets are 5 and 2. The
+    second, r = 1, 3 and c = 1, 0, is truncated: its targets are 1 + ½·2 = 2 and 1 + ½·4 = 3 in the
+    first step; in the second 3 + ½·2 = 4 and 0 + ½·4 = 2 with bootstrapping, without it 3 and 0.
     """
     config = TRPOLagConfig(time_limit=time_limit, discount=0.5, gae_lambda=0.0, **SMALL)
     it = learner(trpo_lag.RULE, config)
@@ -75,7 +75,7 @@ def test_an_epoch_by_hand(time_limit):
     bootstraps = time_limit == "bootstrap"
     targets = np.array([[5.0, 2.0, 4.0], [2.0, 3.0, 2.0]] if bootstraps else [[5, 2, 3], [2, 3, 0]])
     np.testing.assert_allclose(epoch.value_targets[0, :, :3], targets)
-    # Advantages: of the reward with mean 0 and deviation 1, of the cost with mean 0 only
+    # The reward's advantages have mean 0 and standard deviation 1, the cost's have mean 0.
     reward, cost = targets[0] - 2.0, targets[1] - 4.0
     expected = (reward - reward.mean()) / reward.std()
     np.testing.assert_allclose(epoch.reward_advantage[0, :3], expected, rtol=1e-6)
@@ -85,7 +85,7 @@ def test_an_epoch_by_hand(time_limit):
 
 
 def noisy(seed, epoch):
-    """Episodes of a seed and an epoch, of a cost of about 1; actions of deviation 1."""
+    """Return a `draw` for `episodes`, by seed and epoch; the cost of an episode is about 1."""
 
     def draw(k, length):
         rng = np.random.default_rng((seed, epoch, k))
@@ -100,7 +100,7 @@ LENGTHS = {0: (37, 60), 1: (900, 201), 2: (1, 2), 3: (250, 263)}
 
 
 def trained(rule, config, seeds, epochs=2, absent=()):
-    """State and metrics after epochs of learning on each seed's own episodes."""
+    """Return the state and metrics after epochs of learning on each seed's own episodes."""
     it, metrics = learner(rule, config, seeds), []
     for epoch in range(epochs):
         lengths = [length for seed in seeds for length in LENGTHS[seed]]
@@ -115,8 +115,8 @@ def trained(rule, config, seeds, epochs=2, absent=()):
     ("rule", "config"), [(trpo_lag.RULE, TRPOLagConfig), (cpo.RULE, CPOConfig)], ids=["lag", "cpo"]
 )
 def test_a_run_is_bitwise_the_same_alone(rule, config):
-    """Beside one of 1101 steps, in three blocks, where others have 97, 3 and 513. Costs are about
-    their limit, so that CPO comes to more than its plain step."""
+    """The runs have 1101 steps, in three blocks, and 97, 3 and 513. Costs are about as high as
+    their limit, so that CPO takes other steps than the unconstrained one."""
     config = config(cost_limit=1.0, **SMALL)
     together, their_metrics = trained(rule, config, (1, 0, 2, 3))
     assert (their_metrics[..., METRICS.index("step_scale")] > 0).any()
@@ -135,7 +135,7 @@ def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
     after, metrics = trained(trpo_lag.RULE, config, (0, 1), absent=(1,))
     count = len(compares)
     alone, its_metrics = trained(trpo_lag.RULE, config, (0,))
-    assert len(compares) == 2 * count  # nor does the line search go on for it
+    assert len(compares) == 2 * count  # the line search makes no further tries for it
     assert np.isnan(metrics[:, 1]).all()
     np.testing.assert_array_equal(metrics[:, 0], its_metrics[:, 0])
     for name, value in after.items():
@@ -145,8 +145,10 @@ def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
 
 @pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.9, 0.0)])
 def test_advantages_are_sums_of_errors(discount, gae_lambda):
-    """A_t = Σ_k (γλ)^k δ_{t+k} to the episode's end; some end terminally, some are cut off. What
-    lies beyond an episode is not a number, and must not matter."""
+    """A_t = Σ_k (γλ)^k δ_{t+k} to the end of the episode, which is terminal or truncated.
+
+    Values beyond an episode are NaN and must not matter.
+    """
     rng, length = np.random.default_rng(0), np.array([1, 2, 7, 12, 30, 0])
     during = np.arange(30)[:, None] < length
     reward, value, next_value = np.where(during, rng.normal(size=(3, 30, 6)), np.nan)
@@ -169,7 +171,7 @@ def during(length, steps):
 
 
 def test_packing_round_trip():
-    """Runs of 600, 1, 0 and 512 steps, with columns of vectors; NaN lies beyond the episodes."""
+    """Runs of 600, 1, 0 and 512 steps, with a column of vectors that is NaN beyond the episodes."""
     lengths = [300, 300, 0, 1, 0, 0, 500, 12]
     packing = Packing(during(lengths, 500), runs=4)
     assert packing.steps.tolist() == [600, 1, 0, 512]
@@ -232,7 +234,7 @@ def five_steps():
 
 
 def slopes(policy, batch):
-    """Of the clipped loss at all rows: by autograd, and in closed form."""
+    """Return the slopes of the clipped loss at all rows, by autograd and in closed form."""
     rows = np.arange(batch.weight.shape[1])[None].repeat(len(policy.mean), axis=0)
     said = (batch.weight.numpy(), policy.mean.numpy(), policy.log_std[:, 0].numpy())
     losses = (Raised(CONFIG, clipped, batch), loss_of(CONFIG, clipped, batch))
@@ -241,14 +243,15 @@ def slopes(policy, batch):
 
 
 def test_surrogate_and_its_gradient_by_hand():
-    """From N(0, 1) to N(½, 1): log ρ = a/2 - 1/8, so ρ = 1.4549914 at a = 1, 0.5352614 at -1 and 1
-    at ¼; ε = 0.2. The slope of ρ A is ρ A (a - ½) along the mean, ρ A ((a - ½)² - 1) along log σ.
+    """From N(0, 1) to N(½, 1): log ρ = a/2 - 1/8, so ρ = 1.4549914 at a = 1, 0.5352614 at a = -1
+    and 1 at a = ¼; ε = 0.2. The derivative of ρ A by the mean is ρ A (a - ½), that by log σ is
+    ρ A ((a - ½)² - 1).
 
-    a = 1, A = 2: clipped to 1.2·2 = 2.4, slopes 0.
-    a = 1, A = -1: -1.4549914 is less than -1.2 and stays; slopes -0.7274957 and 1.0912436.
-    a = -1, A = 1: 0.5352614 is less than 0.8 and stays; slopes -0.8028921 and 0.6690768.
-    a = -1, A = -1: clipped to -0.8, slopes 0.
-    a = ¼, A = 3: 3; slopes -0.75 and -2.8125.
+    - a = 1, A = 2: clipped to 1.2·2 = 2.4, slopes 0.
+    - a = 1, A = -1: -1.4549914 is less than -1.2 and stays; slopes -0.7274957 and 1.0912436.
+    - a = -1, A = 1: 0.5352614 is less than 0.8 and stays; slopes -0.8028921 and 0.6690768.
+    - a = -1, A = -1: clipped to -0.8, slopes 0.
+    - a = ¼, A = 3: 3; slopes -0.75 and -2.8125.
     """
     policy, batch = normal_policy(0.5), five_steps()
     found, outside = surrogate_at(CONFIG, clipped, policy, batch)
@@ -262,8 +265,8 @@ def test_surrogate_and_its_gradient_by_hand():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_closed_form_is_autograds(seed):
-    """Of random minibatches; in some rows are of weight 0."""
+def test_the_closed_form_agrees_with_autograd(seed):
+    """For random minibatches, of which some rows have weight 0."""
     generator = torch.Generator().manual_seed(seed)
     draw = lambda *shape: torch.randn(*shape, generator=generator).double()  # noqa: E731
     log_std = 0.3 * draw(3, 1, 2)
@@ -278,7 +281,7 @@ def test_the_closed_form_is_autograds(seed):
 
 
 def test_rows_of_weight_zero_do_not_count():
-    """Not even one whose ratio overflows."""
+    """Not even a row whose probability ratio overflows."""
     step = five_steps()
     far = step._replace(
         weight=torch.tensor([[0.25, 0.25, 0.25, 0.25, 0.0]], dtype=torch.float64),
@@ -306,7 +309,8 @@ def test_a_surrogate_that_forgets_the_mean_is_an_error():
 @pytest.mark.parametrize("longest", [0.05, 1e9])
 @pytest.mark.parametrize("kind", ["closed", "autograd"])
 def test_passes_of_adam_against_separate_runs(longest, kind):
-    """Three of two runs; in the second one waits; the third is two minibatches of it."""
+    """Three passes of two runs; in the second pass one run waits, in the third it has two
+    minibatches."""
     nets = Nets(GaussianPolicy(MLP((3, 32, 2))), CRITIC)
     rng = np.random.default_rng(0)
     actor = torch.from_numpy(np.stack([nets.actor.initial(rng, -0.5) for _ in range(2)]))
@@ -348,7 +352,7 @@ def test_passes_of_adam_against_separate_runs(longest, kind):
 
 
 def test_discounted_costs_by_hand():
-    """γ = ½: 2, and 1 + ½·4 + ¼·8 = 5."""
+    """γ = ½: 2 in the first episode, 1 + ½·4 + ¼·8 = 5 in the second."""
     signals = [([5.0], [[2.0]]), ([1.0, 3.0, 1.0], [[1.0], [4.0], [8.0]])]
     rollout = episodes([1, 3], lambda k, length: (0.5, 0.5, *signals[k], 0.5))
     assert rollout.discounted_costs(0.5).tolist() == [[2.0], [5.0]]

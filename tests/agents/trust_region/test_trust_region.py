@@ -1,5 +1,5 @@
-"""Surrogates and natural gradient steps against PyTorch's distributions and explicit matrices; a
-line search that nothing slips through; TRPO-Lag."""
+"""Surrogates, natural gradient steps and the line search, against PyTorch's distributions and
+explicit matrices; the step of TRPO-Lag by hand."""
 
 import math
 
@@ -21,7 +21,7 @@ from agents.trust_region import Problem, Step, conjugate_gradient, line_search
 
 
 def spd(eigenvalues, seed=0):
-    """A random symmetric matrix for each row of eigenvalues, [R, P] -> [R, P, P]."""
+    """Return a random symmetric matrix for each row of eigenvalues, [R, P] -> [R, P, P]."""
     runs, size = eigenvalues.shape
     basis, _ = torch.linalg.qr(normal(runs, size, size, seed=seed))
     return basis * eigenvalues[:, None].double() @ basis.mT
@@ -32,7 +32,7 @@ def times(matrix):
 
 
 def random_epoch(steps, size, seed=0):
-    """Rows beyond a run's steps are not 0: only their weight keeps them out."""
+    """Return a random epoch, in which the rows beyond a run's steps are not 0 but have weight 0."""
     runs = len(steps)
     weight = (torch.arange(size) < steps[:, None]) / steps[:, None].double()
     columns = normal(runs, size, 6, seed=seed)
@@ -53,19 +53,19 @@ def random_actor(runs, seed=0):
 
 
 def test_conjugate_gradient_against_direct_solution():
-    """Runs of condition 1 to 10 000 in one batch, one of them with nothing to solve."""
+    """Matrices with condition numbers from 1 to 10,000 in one batch; one right-hand side is 0."""
     conditions = torch.tensor([1.0, 10.0, 100.0, 1e4, 10.0])
     matrix = spd(conditions[:, None] ** torch.linspace(0, 1, 12))
     b = normal(5, 12, seed=1) * torch.tensor([[1.0], [1e-6], [1e3], [1.0], [0.0]])
     found = conjugate_gradient(times(matrix), b, 40)
     expected = torch.linalg.solve(matrix, b)
-    # It stops at a residual of 1e-5 |b|: an error of at most 1e-5 · condition.
+    # It stops at a residual of 1e-5 |b|, so that the error is at most 1e-5 times the condition.
     error = (found - expected).norm(dim=-1) / expected.norm(dim=-1)
     assert (error[:4] <= 1e-5 * conditions[:4]).all()
     assert (found[4] == 0).all()
 
 
-def test_conjugate_gradient_takes_one_iteration_an_eigenvalue():
+def test_conjugate_gradient_takes_one_iteration_for_each_distinct_eigenvalue():
     matrix = spd(torch.tensor([[1.0] * 4 + [5.0] * 4 + [9.0] * 4]))
     b = normal(1, 12)
     expected = torch.linalg.solve(matrix, b)
@@ -75,7 +75,7 @@ def test_conjugate_gradient_takes_one_iteration_an_eigenvalue():
 
 @pytest.mark.parametrize(("steps", "size"), [((100, 30), BLOCK), ((700, 40), 2 * BLOCK)])
 def test_fisher_product_against_the_hessian_of_kl(steps, size):
-    """Two runs of different length, within a block and beyond one, against every entry."""
+    """Every entry, for two runs of different lengths, within one block and beyond it."""
     actor, epoch = random_actor(2), random_epoch(torch.tensor(steps), size)
     product, solve = trpo.curvature(NETS, TRPOLagConfig(cg_damping=0.3), actor, epoch)
     columns = [product(unit.expand(2, -1)) for unit in torch.eye(SIZE, dtype=torch.float64)]
@@ -94,7 +94,7 @@ def test_fisher_product_against_the_hessian_of_kl(steps, size):
 
 
 def test_a_step_that_is_not_finite_is_not_taken():
-    """Even where the judge allows it."""
+    """Even where the judge accepts it."""
     step, anything = torch.ones(2, 32), (torch.ones(2).bool(), torch.zeros(2))
     step[1, 5] = torch.nan
     found = line_search(torch.zeros(2, 32), step, lambda candidate: anything, 3, 0.5)
@@ -106,8 +106,8 @@ def test_a_step_that_is_not_finite_is_not_taken():
 def test_no_step_beyond_the_trust_region_gets_through(seed):
     """Random steps of all sizes for random policies, judged again with torch.distributions.
 
-    Of the last two runs one has a step that is no number, which the run does not survive, the other
-    such costs.
+    The last run but one has NaN in its step, after which its parameters are NaN; the last has NaN
+    in its costs, and takes no step.
     """
     runs, config = 24, CPOConfig(target_kl=0.01, line_search_steps=8, line_search_decay=0.5)
     actor, epoch = random_actor(runs, seed), random_epoch(torch.full((runs,), 60), BLOCK, seed)
@@ -160,7 +160,7 @@ ACTOR = NETS.actor
 LAG = trpo_lag.RULE.multipliers
 
 
-def test_distribution_against_torch():
+def test_the_policys_distribution_and_actions_against_torch():
     params, others = random_actor(3), random_actor(3, seed=5)
     observation, action = normal(3, 7, OBSERVATION, seed=1), normal(3, 7, ACTION, seed=2)
     found = ACTOR.distribution(params, observation)
@@ -177,7 +177,7 @@ def test_distribution_against_torch():
         torch.testing.assert_close(torch.from_numpy(deterministic[run]), theirs.mean)
 
 
-def test_initial_deviation():
+def test_the_initial_state_has_its_standard_deviation_and_depends_on_the_seed():
     config = TRPOLagConfig(initial_log_std=-0.5, **SMALL)
     state = on_policy.initial_state(NETS, config, LAG, 1, [3, 4])
     policy = ACTOR.distribution(state.actor, torch.zeros(2, 1, OBSERVATION))
@@ -214,9 +214,9 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
 
 
 def test_step_of_trpo_by_hand():
-    """H = diag(4, 1), g = (8, 1): H⁻¹g = (2, 1), of which ½ xᵀHx = 8.5; δ = 0.085 is a hundredth.
+    """H = diag(4, 1), g = (8, 1): x = H⁻¹g = (2, 1) has ½ xᵀHx = 8.5, a hundred times δ = 0.085.
 
-    It has to be better, and costs do not stand in its way."""
+    The step has to improve the surrogate, and its cost is not bounded."""
     diagonal = torch.tensor([4.0, 1.0])
     problem = Problem(
         gradient=torch.tensor([[8.0, 1.0], [0.0, 0.0]]),
@@ -233,7 +233,7 @@ def test_step_of_trpo_by_hand():
 
 
 def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
-    """At σ = e⁻⁷ the density of an action far from the mean may grow by more than e^100."""
+    """At σ = e⁻⁷ the density ratio of an action far from the mean may exceed e^100."""
     actor = torch.zeros(1, ACTOR.size)
     mean = sum(a * b + b for a, b in ((OBSERVATION, 32),)) + 32 * ACTION
     actor[:, mean : mean + ACTION] = 1.0
