@@ -1,9 +1,9 @@
-"""CPO's step against geometry and a general solver, in each of its cases; the step of a
-policy is in `tests/benchmarks`, beside a plain loop.
+"""CPO's step against geometry and a general solver, in each of its cases; `tests/benchmarks`
+compares whole updates with a plain loop.
 
-In coordinates where H is the identity the trust region is a ball of radius √(2δ) and `c + b·x = 0`
-a plane. In radii the centre lies `share = c / √(2δ s)` beyond it, and the plain step, to the
-boundary along g, ends beyond it where `share + cosine of the angle between g and b > 0`.
+In coordinates where H is the identity, the trust region is a ball of radius √(2δ) and `c + b·x = 0`
+a plane. The centre lies `share = c / √(2δ s)` radii beyond the plane. The plain step goes along g
+to the ball's boundary; it ends beyond the plane where `share + cos(angle of g and b) > 0`.
 """
 
 import math
@@ -21,7 +21,7 @@ from agents.trust_region import Problem
 DELTA, SIZE = 0.01, 8
 RADIUS = math.sqrt(2 * DELTA)
 
-# share, cosine, the case, whether the plane holds the step back
+# share, cosine, the case, whether the step ends on the plane
 CASES = [
     (-1.5, 0.7, INSIDE, False),
     (-0.5, 0.7, PARTLY, True),
@@ -38,7 +38,7 @@ CASES = [
 
 
 def one_run(share, cosine, seed):
-    """g, b, c and the root L of H = L Lᵀ of a random run with that geometry."""
+    """Return g, b, c and the root L of H = L Lᵀ of a random run with that geometry."""
     matrix = normal(SIZE, SIZE, seed=seed)
     root = torch.linalg.cholesky(matrix @ matrix.T / SIZE + 0.1 * torch.eye(SIZE))
     along, across = torch.linalg.qr(normal(SIZE, 2, seed=seed + 1000))[0].T
@@ -48,7 +48,7 @@ def one_run(share, cosine, seed):
 
 
 def problem_of(runs):
-    """The runs (g, b, c, L) side by side, with solutions that are exact."""
+    """Return the problem of some runs (g, b, c, L), whose linear systems are solved exactly."""
     gradient, b, excess, root = (torch.stack(column) for column in zip(*runs, strict=True))
     matrix = root @ root.mT
     return Problem(
@@ -62,8 +62,9 @@ def problem_of(runs):
 
 
 def expected_step(g, b, c, root):
-    """One run's. Down the cost, where the plane is out of reach; else the ball's furthest point
-    along g, or where that lies beyond the plane, the furthest of those where the two meet."""
+    """Return one run's step by geometry: down the cost, where the plane is out of reach; else the
+    ball's furthest point along g; where that lies beyond the plane, the furthest point along g of
+    the ball's boundary within the plane."""
     g, b = torch.linalg.solve(root, g), torch.linalg.solve(root, b)
     x = RADIUS * g / g.norm()
     if c > RADIUS * b.norm() > 0:
@@ -75,7 +76,7 @@ def expected_step(g, b, c, root):
 
 
 def solver_step(g, b, c, root):
-    """One run's where there is a solution, by sequential quadratic programming in radii."""
+    """Return one run's step by sequential quadratic programming, where there is a solution."""
     g, b = (torch.linalg.solve(root, v).numpy() for v in (g, b))
     share = c.item() / RADIUS / np.linalg.norm(b)
     g, b = g / np.linalg.norm(g), b / np.linalg.norm(b)
@@ -93,7 +94,7 @@ def solver_step(g, b, c, root):
 
 
 def close(found, expected):
-    """Up to a share of the vector's length: the step is computed in float32."""
+    """Return whether two vectors are equal up to the precision of a step in float32."""
     return (found - expected).norm() <= 1e-4 * expected.norm()
 
 
@@ -109,14 +110,14 @@ def test_every_case_in_one_batch():
     for run, (_, _, c, _) in enumerate(runs):
         alone = cpo.step(CPOConfig(), problem_of([runs[run]]))
         torch.testing.assert_close(alone.displacement[0], found.displacement[run])
-        # Where the limit is kept costs may grow up to it, and the objective has to grow.
+        # Where the constraint is satisfied, costs may grow up to the limit if the objective grows.
         assert found.must_improve[run] == (c <= 0)
         assert found.cost_bound[run] == max(0.0, -c)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6])
 def test_where_costs_do_not_depend_on_the_policy(size):
-    """The plain step, whatever the cost."""
+    """It is the plain step, whatever the cost."""
     runs = [one_run(0.0, 0.5, seed) for seed in range(3)]
     costs = torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
     runs = [(g, size * b / b.norm(), c, r) for (g, b, _, r), c in zip(runs, costs, strict=True)]
@@ -131,8 +132,8 @@ def test_where_costs_do_not_depend_on_the_policy(size):
 
 @pytest.mark.parametrize("share", [-0.5, 0.5])
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4])
-def test_objective_and_cost_of_one_gradient(noise, share):
-    """Where the reward is what costs, in float32 as in training: still the best step allowed."""
+def test_objective_and_cost_with_the_same_gradient(noise, share):
+    """In float32, as in training, it is still the best step that is allowed."""
     runs = [one_run(share, math.sqrt(1 - noise**2), seed) for seed in range(20)]
     problem = problem_of([[value.float() for value in run] for run in runs])
     found = cpo.step(CPOConfig(), problem)
@@ -144,8 +145,8 @@ def test_objective_and_cost_of_one_gradient(noise, share):
         assert g @ x >= 3 * RADIUS * (-share - 0.01)
 
 
-def test_nothing_to_gain():
-    """Without a gradient of the objective: nowhere, or the shortest way back to the limit."""
+def test_without_a_gradient_of_the_objective():
+    """The step is 0, or the shortest way back to the limit."""
     runs = [one_run(share, 0.5, seed) for seed, share in enumerate((-1.5, -0.5, 0.5, 1.5))]
     runs = [(0 * g, b, c, root) for g, b, c, root in runs]
     x = cpo.step(CPOConfig(), problem_of(runs)).displacement

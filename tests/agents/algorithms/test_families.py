@@ -1,4 +1,5 @@
-"""Every algorithm on a task whose episodes end early: records, resume, runs that fail alone."""
+"""Every algorithm on a task whose episodes end early: a run alone and among others, resumed
+trainings, runs that fail alone; evaluations and TensorBoard's files."""
 
 from dataclasses import replace
 
@@ -28,27 +29,30 @@ WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
 NORMALIZED = ("ppo-lag normalized", "cpo normalized", "sac-lb-streak normalized")
 FOLLOWING = ("sac-lag start", "sac-pid episode", "wcsac start", "wcsac episode", "cal start")
 STREAKS = ("trpo-pid streaks", "rcpo tail", "ppo-lag tail", "focops tail", "cup streaks")
+STREAKS += ("sac-lag tail", "sac-pid tail", "sac-lb tail")
 EVERYTHING = (*BUILT_IN, *WITH_PID, *NORMALIZED, *FOLLOWING, *STREAKS)
 FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
-"""One of each learner, and those with states of their own."""
+"""One of each learner, and the algorithms that add to its state."""
 
 
 def config(name, seeds=(0, 1, 2), steps=160, **parameters):
-    """name: of an algorithm, and of a variant where one is meant."""
+    """Return a small configuration; name: an algorithm, and a variant behind a space."""
     name, _, variant = name.partition(" ")
     own = small(name, **VARIANTS.get(variant, {}))
     return TrainConfig(name, ("Walk-v0",), seeds, steps, own, parameters, checkpoint_every=100)
 
 
 def arrays_of(it):
-    """The state of all runs, and steps taken."""
+    """Return the state of all runs, and the steps and epochs taken."""
     return it.learner.state_dict() | {"steps": it.steps, "epoch": it.epochs}
 
 
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
-    """Episodes of the others have other lengths, and they finish at other times: in a training that
-    goes on after its end, runs that waited for others catch up."""
+    """Bit for bit, though the other runs' episodes have other lengths and end at other times.
+
+    Also for a finished training that is made longer, where runs that waited for others catch up.
+    """
     whole = finished(trainer(config(name), tmp_path / "whole"))
     alone = finished(trainer(config(name, (1,))))
     lengths, fewest = of_run(whole, 0)["length"], waiting(whole)
@@ -77,21 +81,21 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
 
 
 def waiting(whole):
-    """The fewest steps after which some runs of a training have begun more epochs than others."""
+    """Return the fewest steps after which some runs have begun more epochs than others."""
     each = (of_run(whole, run)["length"] for run in range(3))
     ends = [np.cumsum(own.reshape(-1, whole.learner.episodes).sum(axis=1)) for own in each]
     return next(n for n in range(1, 160) if len({np.searchsorted(own, n) for own in ends}) > 1)
 
 
 def newest_checkpoint(it):
-    """Its name and its bytes."""
+    """Return the name and the bytes of the newest checkpoint."""
     path = max((it.folder / "checkpoints").iterdir())
     return path.name, path.read_bytes()
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_poisoned_run_fails_alone(name):
-    """NaN in the first weight of the second run's actor, after some epochs."""
+    """The second run's first actor weight becomes NaN after some epochs."""
     healthy, poisoned = finished(trainer(config(name))), trainer(config(name))
     while poisoned.steps[1] < 60:
         poisoned.run_epoch()
@@ -110,7 +114,7 @@ def circle2d(level=1, steps=100, **settings):
 
 
 def test_the_deterministic_policy_gets_no_noise():
-    """One that goes right without noise, left with it."""
+    """The policy here goes right without noise and left with it."""
 
     def policy(observation, noise):
         to = 1.0 if noise is None else -1.0
@@ -121,8 +125,8 @@ def test_the_deterministic_policy_gets_no_noise():
     assert (found["stochastic"].ends == -15).all()
 
 
-def test_evaluation_in_parts_is_that_at_once():
-    """A hundred episodes of a run with the task's own vector environment, else ten."""
+def test_evaluations_do_not_depend_on_how_many_episodes_are_played_at_once():
+    """A run plays a hundred at once in the task's own vector environment, otherwise ten."""
     policy = trainer(circle2d(2)).learner.policy()
     whole = evaluate_runs(circle2d(2), policy, 120)  # in two parts
     parts = evaluate_runs(circle2d(2, vectorization="sync"), policy, 120)
@@ -131,7 +135,7 @@ def test_evaluation_in_parts_is_that_at_once():
         assert all(len(set(returns)) == 120 for returns in whole[name].returns)
 
 
-def test_tensorboard(tmp_path):
+def test_tensorboard_has_the_recorded_numbers(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     it = replace(config("trpo-lag", (0, 1), 300), tensorboard=True)
     it.write(tmp_path)
@@ -148,7 +152,7 @@ def test_tensorboard(tmp_path):
 
 
 def test_the_second_step_of_cup_has_passes_of_its_own(monkeypatch):
-    """Those of the first end by `kl_stop`."""
+    """Though `kl_stop` has ended the passes of the first step."""
     taken, descend = {}, kernel.InCpp.descend
 
     def noted(self, it, loss, order, steps):

@@ -1,4 +1,4 @@
-"""FOCOPS and CUP by what their authors' code does around the surrogate."""
+"""FOCOPS and CUP: multiplier, advantages and early stopping as in their authors' code."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ def training(name, task="Circle2D-1-v0", **changes):
 @pytest.mark.parametrize("name", BOTH)
 @pytest.mark.parametrize("limit_of", ["discounted", "episode"])
 def test_the_multiplier_follows_the_discounted_cost(name, limit_of):
-    """By the definition, from the costs of each epoch: ν ← min(max(ν + η (J - d'), 0), ν_max), with
-    d' = d, or d times the mean of γ^t over the task's 50 steps."""
+    """ν ← min(max(ν + η (J - d'), 0), ν_max), from the costs of each epoch, with d' = d, or for a
+    limit of the episode's cost d times the mean of γ^t over the task's 50 steps."""
     changes = {"cost_limit": 4.0, "limit_of": limit_of, "discount": 0.9, "multiplier_lr": 0.3}
     it, nu, learn = training(name, **changes), np.zeros(2), None
     limit = 4.0 * (1.0 if limit_of == "discounted" else np.mean(0.9 ** np.arange(50)))
@@ -66,8 +66,8 @@ def test_both_advantages_are_standardised(name, monkeypatch):
 
 @pytest.mark.parametrize("name", BOTH)
 def test_passes_end_by_the_divergence_from_the_new_policy_to_the_old(name, monkeypatch):
-    """Against torch.distributions, at every check of an epoch; CUP's second step measures from
-    before both."""
+    """Against torch.distributions, at every check of an epoch. Both steps of CUP measure from the
+    policy before the first."""
     it, checked = training(name, kl_stop=1e9, actor_iterations=3), []
     start = it.learner._state.actor.clone()
 

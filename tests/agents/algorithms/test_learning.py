@@ -1,4 +1,4 @@
-"""Algorithms on a problem with a known constrained optimum; one on Circle2D-1."""
+"""Every algorithm on a problem with a known constrained optimum, and TRPO-Lag on Circle2D-1."""
 
 from dataclasses import replace
 
@@ -20,8 +20,9 @@ pytestmark = pytest.mark.slow
 register()
 LIMIT = 0.6
 SHARED = {"cost_limit": LIMIT, "learning_rate": 3e-3, "batch_size": 64, "hidden": (32, 32)}
-# Off-policy: one step is one epoch. On-policy: 64. The reward's noise keeps the standardised reward
-# advantages of TRPO-Lag, and so its multiplier, bounded as its policy sharpens.
+# An epoch has one step off-policy and 64 on-policy. The reward's noise keeps the multiplier of
+# TRPO-Lag bounded: without it the slope of its standardised advantages would grow as the policy's
+# standard deviation falls.
 EPISODES = {"episodes": 64, "critic_iterations": 2}
 SGD = EPISODES | {"multiplier_lr": 0.5, "multiplier_optimizer": "sgd"}
 BOUNDED = EPISODES | {"multiplier_lr": 0.5, "max_multiplier": 10.0, "initial_log_std": 0.0}
@@ -52,14 +53,16 @@ SETTINGS = {  # steps, settings, the reward's noise
 OPTIMUM = dict.fromkeys(SETTINGS, 0.2) | {"sac-lb": 0.05}  # see Target, and below
 DISTANCE = dict.fromkeys(SETTINGS, 0.12)
 DISTANCE |= {"cpo": 0.05, "sac-lag": 0.05, "sac-lb": 0.1, "wcsac": 0.07}
-SEEDS = dict.fromkeys(SETTINGS, (0, 1)) | {"sac-lb": (2, 3)}  # those that start far from it
+SEEDS = dict.fromkeys(SETTINGS, (0, 1)) | {"sac-lb": (2, 3)}  # seeds that start far from it
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_comes_close_to_the_optimum_within_the_limit(name):
-    """The mean deterministic action of the last third against a = 0.2, that of both runs; its cost
-    (1 + a) / 2 may exceed the limit by 0.03. SAC-LB keeps its distance from the limit: with t = 3
-    the slopes of reward and barrier, 2 (0.8 - a) and 3/2, balance at a = 0.05."""
+    """Each run's mean deterministic action over the last third of training against a = 0.2.
+
+    Its cost (1 + a) / 2 may exceed the limit by 0.03. SAC-LB's optimum lies within the limit: with
+    t = 3 the slopes of reward and barrier, 2 (0.8 - a) and 3/2, are equal at a = 0.05.
+    """
     steps, changes, noise = SETTINGS[name]
     config = replace(algorithm(name).config(), **SHARED, **changes)
     if algorithm(name).family is OffPolicy:
@@ -82,7 +85,7 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
 
 
 def test_improves_over_a_random_policy_on_circle2d():
-    """With a preset; by more than twice what an untrained policy without noise is better."""
+    """By more than twice as much as an untrained policy without noise does."""
     name, task = "trpo-lag", "Circle2D-1-v0"
     training = finished(trainer(TrainConfig(name, (task,), (0,), 5_000, preset(name, task))))
     envs, policy = make_envs(task, 200, {}), training.learner.policy()

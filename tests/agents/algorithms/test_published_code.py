@@ -1,25 +1,26 @@
-"""One update of each algorithm from equal weights and an equal batch as by public code.
+"""One update of each algorithm against public code, from equal weights and an equal batch.
 
-The numbers were written down from OmniSafe 0.5 (its classes' own updates, over a stub of buffer and
-logger), for C-TRPO from the part "update policy" of the authors' script, and for CAL from the
-authors' agent, with silu in all of its nets. The batch: 96 rows i with observations
-`sin(.9 i + 2.1 j)`, action `.8 sin(1.3 i + .5)`, advantages `cos .7 i` of the reward and
-`½ sin(1.1 i + 1)` of the cost. The k-th parameter of a weight [in, out], in its order, and of the
-bias behind it, counted over the layers, is `.15 sin(1.7 k + .3)`; log σ is -½. First order: three
-passes of one minibatch at 3e-3, the gradient's norm at most 40. Where public code differs:
+The expected numbers were computed by OmniSafe 0.5 (its classes' own updates, with stubs of buffer
+and logger), for C-TRPO by the part "update policy" of the authors' script, and for CAL by the
+authors' agent, with silu in all networks. The batch has 96 rows i with observations
+`sin(.9 i + 2.1 j)`, action `.8 sin(1.3 i + .5)`, and advantages `cos .7 i` of the reward and
+`½ sin(1.1 i + 1)` of the cost. Parameters are counted over the layers, in each the weight [in, out]
+before the bias; the k-th is `.15 sin(1.7 k + .3)`; log σ is -½. First-order algorithms make three
+passes of one minibatch at 3e-3, with gradient norms of at most 40. Where public code differs:
 
-- The multiplier of OmniSafe's FOCOPS divides by 1 + ν, the authors' does not: its advantage was
-  replaced. OmniSafe's P3O clips no cost and weighs the excess by 1 instead of 1 - γ: in the first
-  step, where every ratio is 1, that does not show. Its IPO sees J_C undiscounted.
-- CPPO-PID: no smoothing of the proportional term, and a derivative over one epoch, which are
-  settings there (0.95 and ten).
-- PCPO as published takes `H x`, about g, for the `x = H⁻¹ g` of the reward's step. It was put
-  right. It also leaves out the episode's length, here 1, and has no line search of the objective.
-- C-TRPO has 1 / (1 - γ) in the place of the episode's length: both are 100 here.
-- Conjugate gradients add ε = 1e-6 to divisors, which is the size of the residuals here, and moves
-  the step by 0.4 %: it was set to 1e-12.
-- KL divergences there are means over the action's components, here there is one.
-- SAC-PID has one cost critic there, and its loss is divided by 1 + λ.
+- OmniSafe's FOCOPS divides the advantage by 1 + ν, the authors' code does not: its advantage was
+  replaced. OmniSafe's P3O does not clip the cost and weights the excess by 1 instead of 1 - γ; that
+  has no effect in the first step, where every ratio is 1. Its IPO uses the undiscounted J_C.
+- CPPO-PID: OmniSafe's settings were changed to no smoothing of the proportional term (default 0.95)
+  and a derivative over one epoch (default ten).
+- PCPO as published uses `H x`, about g, in place of the reward's step `x = H⁻¹ g`; that was
+  corrected. It also leaves out the episode's length, here 1, and has no line search of the
+  objective.
+- C-TRPO has 1 / (1 - γ) in place of the episode's length: both are 100 here.
+- OmniSafe's conjugate gradients add ε = 1e-6 to divisors, which is the size of the residuals here
+  and changes the step by 0.4 %: it was set to 1e-12.
+- OmniSafe's KL divergences are means over the action's components, of which there is one here.
+- OmniSafe's SAC-PID has one cost critic, and its loss is divided by 1 + λ.
 """
 
 import numpy as np
@@ -41,7 +42,7 @@ COST = np.sin(1.1 * i + 1)
 
 
 def filled(net, scale=0.15, shift=0.3):
-    """The parameters [size] of a network by the formula."""
+    """Return the parameters [size] of a network by the formula."""
     params, count = np.zeros(net.size, np.float32), 0
     for layer in net.layers(params[None]):
         layer[0] = scale * np.sin(1.7 * (count + np.arange(layer.size)) + shift).reshape(
@@ -52,14 +53,14 @@ def filled(net, scale=0.15, shift=0.3):
 
 
 def packed(values):
-    """[1, BLOCK, ...]: rows beyond the batch are 0."""
+    """Return the rows as [1, BLOCK, ...], 0 beyond the batch."""
     values = np.asarray(values, np.float32)
     rest = np.zeros((BLOCK - ROWS, *values.shape[1:]), np.float32)
     return torch.from_numpy(np.concatenate([values, rest])[None])
 
 
 def improved(name, cost, length=1.0, before=0.0, **changes):
-    """Mean actions at the first four observations and log σ after an update."""
+    """Return the mean actions at the first four observations, and log σ, after an update."""
     config = algorithm(name).config(hidden=(32,), cost_limit=25.0, **changes)
     it = learner(name, config, [0], 3, 1)
     net, actor = it.nets.actor.net, it._state.actor
@@ -113,13 +114,13 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("name", "changes", "cost", "published"), PUBLISHED)
-def test_on_policy(name, changes, cost, published):
+def test_on_policy_updates(name, changes, cost, published):
     length = 100.0 if name == "c-trpo" else 1.0
     assert improved(name, cost, length, **changes) == pytest.approx(published, abs=3e-5)
 
 
-def test_pid():
-    """Multipliers of OmniSafe's controller after costs of 30, 10, 40 and 26, from 0.001."""
+def test_multipliers_of_the_pid_controller():
+    """OmniSafe's multipliers after costs of 30, 10, 40 and 26, from 0.001."""
     config, rule = algorithm("cppo-pid").config(), algorithm("cppo-pid").rule
     states, found = lagrange.initial(rule.multipliers, config, 1), []
     for cost in (30.0, 10.0, 40.0, 26.0):
@@ -129,8 +130,10 @@ def test_pid():
 
 
 def off_policy(name, shifts, cost_bias=0.0, **changes):
-    """Nets, config and first state: actor and critics by the formula, with .3 in the place of .15;
-    shifts: of the actor, and of each critic."""
+    """Return nets, config and initial state: actor and critics by the formula, with .3 for .15.
+
+    shifts: of the actor, and of each critic, in place of the formula's .3 in the sine.
+    """
     config = algorithm(name).config(
         hidden=(32, 32), learning_rate=3e-3, temperature_lr=3e-3, batch_size=ROWS, **changes
     )
@@ -145,13 +148,13 @@ def off_policy(name, shifts, cost_bias=0.0, **changes):
 
 
 def said(net, params, seen):
-    """Outputs of networks params [N, size] for seen [B, in]."""
+    """Return the outputs of networks with params [N, size] for inputs seen [B, in]."""
     seen = torch.from_numpy(np.repeat(seen[None], len(params), axis=0))
     return net.forward(torch.from_numpy(params), seen)
 
 
 def noise(rate, shift):
-    """[1, ROWS, 1]"""
+    """Return made-up noise, [1, ROWS, 1]."""
     return (1.2 * np.sin(rate * i + shift))[None, :, None].astype(np.float32)
 
 
@@ -175,9 +178,9 @@ BATCH = Batch(
          (0.562159, 0.63984, 0.732962, 0.832864), -0.3750924),
     ],
 )  # fmt: skip
-def test_cal(limit, actor, cost_critics, log_multiplier):
-    """Three gradient steps: means and log σ at three observations, the ensemble at one; without and
-    with a rectified multiplier."""
+def test_updates_of_cal(limit, actor, cost_critics, log_multiplier):
+    """After three gradient steps: means and log σ at three observations, and the ensemble of cost
+    critics at one; without and with a rectified multiplier."""
     shifts = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2)
     changes = {"cost_limit": limit, "multiplier_lr": 3e-3, "activation": "silu"}
     nets, config, state = off_policy("cal", shifts, cost_bias=1.0, **changes)
@@ -193,8 +196,8 @@ def test_cal(limit, actor, cost_critics, log_multiplier):
     assert state.log_temperature[0, 0].item() == pytest.approx(-0.0090014, abs=1e-6)
 
 
-def test_sac_pid():
-    """The actor's loss, and means and log σ at three observations after a step, at λ = 0.566."""
+def test_the_actors_step_of_sac_pid():
+    """Its loss, and after the step means and log σ at three observations, at λ = 0.566."""
     nets, config, state = off_policy("sac-pid", (0.1, 0.2, 0.4, 0.6, 0.6))
     what = (state, BATCH.observation, noise(2.9, 1), np.float32([[0.566]]))
     gradient, value, *_ = sac.actor_gradient(nets, config, algorithm("sac-pid").rule, *what)

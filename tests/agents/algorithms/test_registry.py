@@ -1,5 +1,4 @@
-"""Algorithms by name, registered from outside; a family of one's own:
-toy_family.py."""
+"""Algorithms registered by users. A user-defined family is in toy_family.py."""
 
 import inspect
 import math
@@ -31,7 +30,7 @@ def nothing_stays(monkeypatch):
 
 @pytest.fixture
 def sac_fixed(tmp_path, monkeypatch):
-    """The page's algorithm, of the module my_algorithm."""
+    """The algorithm of docs/extending.md, registered by the module my_algorithm."""
     (code,) = re.findall(r"```python\n# my_algorithm\.py\n(.*?)```", PAGE.read_text(), re.S)
     (tmp_path / "my_algorithm.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
@@ -42,8 +41,9 @@ def sac_fixed(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "more"), [("sac", {"cost_critic_loss", "risk"}), ("ppo", {"cost_critic_loss"})]
 )
-def test_a_baseline_is_what_it_would_be_beside_cost_critics(name, more):
-    """A copy whose rule learns a cost, and does not penalise it, records it too."""
+def test_a_baseline_trains_as_it_would_with_cost_critics(name, more):
+    """A copy whose rule learns a cost without penalising it has the same policy and reward critics,
+    and further metrics."""
     known = algorithm(name)
     register("beside", known._replace(rule=known.rule._replace(costs=1)))
     plain, beside = trained(name), trained("beside")
@@ -53,9 +53,9 @@ def test_a_baseline_is_what_it_would_be_beside_cost_critics(name, more):
     np.testing.assert_array_equal(own, critics[:, : own.shape[1]])
 
 
-def test_from_a_file_of_ones_own(sac_fixed):
-    """At price 0 its actor is SAC's, bit for bit; at ln 2 it is SAC-Lag with its first multiplier
-    kept."""
+def test_the_algorithm_of_the_docs_is_sac_and_sac_lag_at_two_prices(sac_fixed):
+    """At price 0 its actor is SAC's, bit for bit; at price ln 2 it is that of SAC-Lag with a
+    constant multiplier."""
     assert list(ALGORITHMS) == [*BUILT_IN, "sac-fixed"]
     assert title("sac-fixed") == "SAC-Fixed"
     free, plain = trained("sac-fixed", price=0.0), trained("sac")
@@ -66,7 +66,7 @@ def test_from_a_file_of_ones_own(sac_fixed):
     assert np.abs(actor - plain.learner.state_dict()["actor"]).max() > 1e-3
 
 
-def test_reserved_are_the_names_of_parameters():
+def test_names_of_parameters_of_train_and_sweep_are_reserved():
     functions = [inspect.signature(f).parameters.values() for f in (agents.train, agents.sweep)]
     names = {one.name for own in functions for one in own if one.kind is not one.VAR_KEYWORD}
     assert names <= set(RESERVED)
@@ -95,8 +95,9 @@ def test_what_register_refuses(sac_fixed):
     assert list(ALGORITHMS) == [*BUILT_IN, "sac-fixed"]
 
 
-def test_the_module_that_registers(sac_fixed, tmp_path):
-    """Not that of the config, which may be the package's own. Processes cannot import a script."""
+def test_an_algorithm_belongs_to_the_module_that_registers_it(sac_fixed, tmp_path):
+    """Not to its config's module, which may be the package's own. A sweep refuses an algorithm of
+    the running script, which its processes cannot import."""
     lag = algorithm("sac-lag")
     register("lag-again", lag)
     script = {"__name__": "__main__", "agents": agents, "lag": lag}
@@ -109,7 +110,7 @@ def test_the_module_that_registers(sac_fixed, tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_cell_that_is_run_again():
+def test_a_notebooks_cell_may_register_its_algorithm_again():
     lag = algorithm("sac-lag")
     cell = {"__name__": "__main__", "agents": agents, "lag": lag}
     for name in ("First", "Second"):
@@ -123,7 +124,7 @@ def test_a_family_that_extends_another_has_its_presets():
     lag = algorithm("sac-lag")
 
     class Extended(lag.family):
-        """A family of one's own."""
+        """A user-defined family."""
 
     register("extended", lag._replace(family=Extended))
     for task in ("Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0", "Walk-v0"):

@@ -1,5 +1,5 @@
-"""Sauté's budget and reward against OmniSafe's adapter and by hand; what its policies see, and what
-records tell."""
+"""Sauté's budget and reward, against OmniSafe's adapter and by hand; its observations and its
+records."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,8 +23,8 @@ register()
 NAMES = ("ppo-saute", "trpo-saute")
 COSTS, REWARDS = [1.0, 0.0, 2.0, 0.0, 1.0, 1.0], [0.5, 0.25, -1.0, 2.0, 3.0, 4.0]
 OMNISAFE = [0.6368438, 0.7076042, -0.1623078, -0.1803420, -0.6746473, -1.2238754]
-"""What `SauteAdapter` of OmniSafe 0.5.0 observes after steps of these costs, for a budget of 3, six
-steps and saute_gamma .9; its rewards are the task's in the first two steps, then -1."""
+"""Observations of OmniSafe 0.5.0's `SauteAdapter` after steps with these costs, for a budget of 3,
+six steps and saute_gamma .9. Its rewards are the task's in the first two steps, then -1."""
 
 
 class Given(gym.Env):
@@ -53,7 +53,7 @@ def left(env):
     return [env.step(np.zeros(1, np.float32))[0][-1] for _ in range(6)]
 
 
-def test_the_budget_is_omnisafes():
+def test_the_discounted_budget_is_omnisafes():
     np.testing.assert_allclose(left(saute().wrap(Given(), ("cost",), 6)), OMNISAFE, rtol=1e-6)
 
 
@@ -64,7 +64,7 @@ def test_without_a_discount_it_is_what_is_left_of_the_limit():
 
 
 def test_a_spent_budget_replaces_the_reward():
-    """At 0 as well: in OmniSafe the reward stays where z > 0."""
+    """A budget of 0 is spent; OmniSafe, too, keeps the reward only where z > 0."""
     after = np.array([0.5, 1e-30, 0.0, -1.0], np.float32)
     numbers = np.zeros((4, 1, 2), np.float32)
     following = np.stack([np.zeros(4), after], axis=-1)[:, None].astype(np.float32)
@@ -77,7 +77,7 @@ def test_a_spent_budget_replaces_the_reward():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_policies_see_the_budget_and_records_keep_the_task(name, tmp_path):
-    """Circle2D-1's own rewards are those of the same actions without a wrapper."""
+    """The recorded returns are the task's own, which the algorithm does not learn from."""
     config = TrainConfig(name, ("Circle2D-1-v0",), (0, 1), 300, small(name, saute_discount=0.99))
     it = trainer(config, tmp_path / "run")
     seen = {}
@@ -97,8 +97,9 @@ def test_policies_see_the_budget_and_records_keep_the_task(name, tmp_path):
     assert (it.learner.config.relabelled(rollout).reward.sum(axis=0) != sums).any()
 
 
-def test_a_loaded_policy_and_films_see_it(tmp_path):
-    """`evaluate` and the evaluation at the end are of the same policy; its own environments too."""
+def test_loaded_policies_evaluations_and_films_see_the_budget(tmp_path):
+    """An evaluation gives the returns of the one at the end of training, and a policy can be used
+    in environments that it wraps."""
     options = {"steps": 200, "seeds": 0, "episodes": 2, "hidden": (8,), "evaluation_episodes": 4}
     runs = agents.train("ppo-saute", "Circle2D-1-v0", out=tmp_path / "run", **options)
     policy = agents.load_policy(runs.folder)
@@ -120,7 +121,7 @@ def test_a_loaded_policy_and_films_see_it(tmp_path):
 
 
 @pytest.mark.parametrize("poisons", ["cost", "negative", "observation"])
-def test_what_is_wrong_of_a_task_is_named_and_ends_its_run_alone(poisons):
+def test_a_tasks_wrong_numbers_are_named_beneath_the_wrapper(poisons):
     config = TrainConfig("ppo-saute", ("Walk-v0",), (0, 1), 400, small("ppo-saute"))
     config = replace(config, task_parameters={"poison": 0.02, "poisons": poisons})
     it = trainer(config)

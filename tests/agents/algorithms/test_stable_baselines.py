@@ -1,8 +1,8 @@
-"""One update of SAC and of PPO beside Stable-Baselines3's, from equal weights, batch and noise.
+"""One update of SAC and of PPO against Stable-Baselines3's, from equal weights, batch and noise.
 
-In float32 on both sides, which add up in other orders. Gradients (Adam's first averages) agree to
-1e-4 of the largest of their network; parameters to 2e-6 where the gradient is not next to nothing,
-where Adam's first step is of its sign alone.
+Both compute in float32, with sums in other orders. Gradients (Adam's first moments) agree to 1e-4
+of the largest in their network. Parameters agree to 2e-6 except where the gradient is almost 0,
+since the first step of Adam depends on its sign alone.
 """
 
 import gymnasium as gym
@@ -42,7 +42,7 @@ def linears(*modules):
 
 
 def put(vector, net, layers, last=()):
-    """Our parameters of a network into theirs; last: their layers that share our last."""
+    """Copy our parameters of a network into theirs; last: their layers that form our last one."""
     start, sizes = 0, list(zip(net.sizes[:-1], net.sizes[1:], strict=True))
     for k, (n_in, n_out) in enumerate(sizes):
         weight = vector[start : start + n_in * n_out].reshape(n_in, n_out)
@@ -56,7 +56,7 @@ def put(vector, net, layers, last=()):
 
 
 def taken(net, layers, last=(), of=lambda parameter: parameter.data):
-    """Theirs in the order of ours."""
+    """Return their parameters, or what `of` gives for each, in our order."""
     pairs = [(of(layer.weight).T, of(layer.bias)) for layer in layers[: len(net.sizes) - 2]]
     final = last or layers[len(net.sizes) - 2 :]
     weights, biases = ([of(getattr(m, p)) for m in final] for p in ("weight", "bias"))
@@ -69,7 +69,7 @@ def average(optimizer):
 
 
 def assert_agree(found, expected, gradient, their_gradient):
-    """Parameters and gradients of one network; ours may be padded."""
+    """Assert that parameters and gradients of one network agree; ours may be padded."""
     gradient, found = gradient[: len(expected)], found[: len(expected)]
     largest = their_gradient.abs().max()
     assert largest > 0
@@ -80,20 +80,20 @@ def assert_agree(found, expected, gradient, their_gradient):
     assert (found - expected).abs().max() <= 2.1 * RATE
 
 
-def test_sac(monkeypatch):
+def test_an_update_of_sac(monkeypatch):
     rates = {"learning_rate": RATE, "temperature_lr": RATE}
     config = sac.ALGORITHM.config(batch_size=ROWS, hidden=HIDDEN, **rates)
     nets = update.make_nets(config, OBSERVATION, ACTION, 1)
     ours = update.initial_state(nets, config, sac.RULE, [3])
     ours.targets[...] += 0.01
-    state = tree.tensors(ours)  # of the same memory
+    state = tree.tensors(ours)  # shares memory with ours
     rng = torch.Generator().manual_seed(0)
 
     def normal(*shape):
         return torch.randn(1, ROWS, *shape, generator=rng)
 
     terminal = (normal() > 1.5).float()
-    ends = terminal, torch.zeros_like(terminal)  # the second counts for costs, which SAC has not
+    ends = terminal, torch.zeros_like(terminal)  # the second is for costs, which SAC does not learn
     cost = normal().abs()[:, None]
     batch = Batch(normal(3), normal(2).tanh(), normal(), cost, normal(3), *ends)
     noise = update.UpdateNoise(normal(ACTION), normal(ACTION))
@@ -138,7 +138,7 @@ def test_sac(monkeypatch):
 
 
 def episodes(rng):
-    """Two of 128 steps each, which end in a terminal state."""
+    """Return a rollout of two episodes of 128 steps each, which end in a terminal state."""
     shape, ends = (ROWS // 2, 2), np.zeros((ROWS // 2, 2), bool)
     ends[-1] = True
     observation, following = rng.normal(size=(2, *shape, OBSERVATION)).astype(np.float32)
@@ -150,9 +150,12 @@ def episodes(rng):
     return Rollout(*columns, ones, np.full(2, ""))
 
 
-def test_ppo():
-    """Three passes in one minibatch, so that their order does not matter. Advantages are
-    standardised before (Stable-Baselines3: in each minibatch, by the unbiased deviation)."""
+def test_an_update_of_ppo():
+    """Three passes of one minibatch, so that the order of rows does not matter.
+
+    Advantages are standardised beforehand, as we do; Stable-Baselines3 would standardise them in
+    each minibatch, by the unbiased standard deviation.
+    """
     config = ppo.ALGORITHM.config(
         episodes=2, batch_size=ROWS, hidden=HIDDEN, learning_rate=RATE, max_gradient_norm=1e9,
         actor_iterations=3, critic_iterations=3, clip_range=0.01,

@@ -1,4 +1,5 @@
-"""The longest streak of an episode as a second cost: what is recorded, learned and followed."""
+"""A limit of an episode's longest streak, as a second cost: its records, its critics and its
+multiplier."""
 
 from dataclasses import replace
 
@@ -6,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box
-from small_trainings import assert_same, finished, of_run, small, trainer
+from small_trainings import of_run, small, trainer
 from toys import Walk, register, registered
 
 import agents
 from agents.algorithms import algorithm
 from agents.errors import UserError
-from agents.lockstep import lagrange, tree
+from agents.lockstep import lagrange
 from agents.lockstep.pulled import pulled
 from agents.lockstep.rollout import Rollout, learned
 from agents.lockstep.streaks import StreakTail
@@ -31,7 +32,7 @@ def config(name="ppo-lag", task="Walk-v0", costs=("cost",), **changes):
 
 
 def first_epoch(it):
-    """An epoch of a trainer, and its rollout as the task gave it."""
+    """Run an epoch and return its rollout as the task gave it."""
     seen, learn = [], it.learner.learn
     it.learner.learn = lambda rollout, *rest: learn(seen.append(rollout) or rollout, *rest)
     it.run_epoch()
@@ -39,15 +40,17 @@ def first_epoch(it):
 
 
 def longest_of(rollout):
-    """The longest streak of each episode, by its plain costs."""
+    """Return the longest streak of each episode, from its plain costs."""
     pairs = zip(rollout.cost[..., 0].T, rollout.length, strict=True)
     return np.array([longest_streaks(costs[:n], [n])[0] for costs, n in pairs])
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_each_multiplier_follows_its_cost(name):
-    """By the plain gradient: λ ← (λ + η (J - d))₊, J_2 being the mean longest streak. Every one
-    sees the episode's undiscounted longest streak, FOCOPS and CUP too."""
+    """With SGD λ ← (λ + η (J - d))₊, where J of the second multiplier is the mean longest streak.
+
+    It is not discounted, not even in FOCOPS and CUP.
+    """
     it = trainer(config(name, **SGD))
     rollout = first_epoch(it)
     longest = longest_of(rollout).reshape(2, -1).mean(axis=1)
@@ -59,7 +62,7 @@ def test_each_multiplier_follows_its_cost(name):
     assert it.learner.metrics[-1] == "case" or it.learner.metrics[-1] == "multiplier_2"
 
 
-def test_what_is_seen_and_recorded():
+def test_observations_have_the_streaks_and_records_their_growth():
     it = trainer(config())
     rollout = first_epoch(it)
     steps, episodes = rollout.reward.shape
@@ -76,7 +79,7 @@ def test_what_is_seen_and_recorded():
     assert own["costs/record_cost"].sum() == longest_of(rollout)[:3].sum()
 
 
-def test_a_cost_that_the_algorithm_does_not_limit_stands_behind():
+def test_a_cost_that_the_algorithm_does_not_limit_stands_last():
     it = config(task="TwoCosts-v0", costs=("cost", "cost_2"))
     assert it.costs == ("cost", "record_cost", "cost_2")
     assert it.task_costs == ("cost", "cost_2")
@@ -87,8 +90,8 @@ def test_a_cost_that_the_algorithm_does_not_limit_stands_behind():
 
 @pytest.mark.parametrize("alpha", [0.1, 0.5, 0.8])
 def test_the_limited_cost_is_cvar_of_the_longest_streak(alpha):
-    """In the first epoch, whose episodes are all there are. The costs of an episode's steps are
-    (L - η)₊ / α, at the steps in which the streak is longer than η."""
+    """In the first epoch, before which there are no episodes. An episode's learned cost is
+    (L - η)₊ / α in sum, from the steps in which the streak is longer than η."""
     it = trainer(config(streak_alpha=alpha, episodes=8))
     epochs, make = [], it.learner._epoch
     it.learner._epoch = lambda rollout, packing: epochs.append(make(rollout, packing)) or epochs[-1]
@@ -104,7 +107,7 @@ def test_the_limited_cost_is_cvar_of_the_longest_streak(alpha):
 
 
 def test_the_quantile_is_of_the_last_hundred_episodes():
-    """L = 0, 1, ..., 129 in epochs of ten: of 30 to 129 a tenth is above 119."""
+    """L = 0, 1, ..., 129 in epochs of ten: a tenth of 30 to 129 is above 119."""
     tail = StreakTail(1, 0.1)
     for first in range(0, 130, 10):
         longest = np.arange(first, first + 10)
@@ -165,7 +168,7 @@ class Counts(Walk):
 
 
 @pytest.mark.parametrize("name", ["ppo-lag", "sac-lb", "ppo-saute"])
-def test_whole_numbers_have_no_place_for_more(tmp_path, name):
+def test_nothing_can_be_added_to_observations_of_integers(tmp_path, name):
     limit = {"saute_discount": 1.0} if name == "ppo-saute" else {"streak_limit": 3.0}
     message = f"{name} on task 'Counts-v0': observe needs a flat Box of floats"
     with registered(Counts=Counts), pytest.raises(UserError, match=message):
@@ -173,13 +176,13 @@ def test_whole_numbers_have_no_place_for_more(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-# Off-policy: one episode an epoch, a replay, and critics of the discounted record cost.
+# Off-policy: one episode per epoch, a replay, and critics of the discounted record cost.
 
 OFF_POLICY = {"random_steps": 40, "gradient_steps": 1, "replay_size": 400}
 
 
 def epochs(it, count):
-    """Each epoch's rollout as the task gave it, state before, and whether each run learned."""
+    """Yield each epoch's rollout as the task gave it, the state before, and which runs learned."""
     learn = it.learner.learn
     for _ in range(count):
         seen = []
@@ -196,7 +199,7 @@ def epochs(it, count):
 
 
 def quantile(longest, alpha):
-    """η of the last hundred, of which the share α is not below it, and no more is above."""
+    """Return η of the last hundred episodes: at most the share α of them lies above it."""
     ordered = sorted(longest[-100:], reverse=True)
     return ordered[int(alpha * len(ordered))] if alpha < 1 else 0
 
@@ -204,9 +207,12 @@ def quantile(longest, alpha):
 @pytest.mark.parametrize("multiplier_of", ["replay", "start", "episode"])
 @pytest.mark.parametrize(("name", "alpha"), [("sac-lag", 1.0), ("sac-lag", 0.5), ("sac-pid", 0.25)])
 def test_off_policy_multipliers_follow_the_last_ten_episodes(name, alpha, multiplier_of):
-    """η + E[(L - η)₊] / α over them, whatever the cost's own multiplier follows: without α their
-    mean. SAC-Lag's parameter rises by its slope, σ(parameter), times the excess; the controller
-    adds its proportional gain times the excess to where it started."""
+    """They follow η + E[(L - η)₊] / α over these episodes, which is their mean for α = 1, whatever
+    the first cost's multiplier follows.
+
+    SAC-Lag's parameter rises by its slope, σ(parameter), times the excess; the PID controller adds
+    its proportional gain times the excess to its initial value.
+    """
     own = {"multiplier_of": multiplier_of, "streak_alpha": alpha, "streak_limit": 0.5}
     if name == "sac-lag":
         own |= {"multiplier_optimizer": "sgd", "multiplier_lr": 0.1}
@@ -233,9 +239,9 @@ def test_off_policy_multipliers_follow_the_last_ten_episodes(name, alpha, multip
 
 
 @pytest.mark.parametrize("alpha", [1.0, 0.4])
-def test_off_policy_critics_learn_the_record_cost_beyond_the_quantile_of_now(alpha):
-    """The cost of all transitions of the replay, old ones too, is 1/α where the longest streak, m,
-    grows beyond η."""
+def test_off_policy_critics_learn_the_record_cost_beyond_the_current_quantile(alpha):
+    """The cost of every transition in the replay, old ones too, is 1/α where the longest streak
+    grows beyond the current η."""
     it = trainer(replace(config("sac-lag", streak_alpha=alpha, **OFF_POLICY), seeds=(0,)))
     grown, longest = [], []
     for rollout, *_ in epochs(it, 12):
@@ -250,24 +256,9 @@ def test_off_policy_critics_learn_the_record_cost_beyond_the_quantile_of_now(alp
     np.testing.assert_allclose(batch.cost[0, 1], expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["sac-lag", "sac-pid", "sac-lb"])
-def test_off_policy_runs_alone_and_resumed(name, tmp_path):
-    """Bit for bit: a run beside another and alone, and one that goes on from its checkpoint."""
-    it = config(name, streak_alpha=0.5, **OFF_POLICY)
-    both = finished(trainer(it))
-    assert both.learner.costs == 2
-    assert_same(of_run(both, 1), of_run(finished(trainer(replace(it, seeds=(1,)))), 0))
-    half = trainer(it, tmp_path / "run")
-    while half.steps.min() < 200:
-        half.run_epoch()
-    half.save()
-    resumed = finished(trainer(it, tmp_path / "run"))
-    assert_same(*(tree.flatten(one.learner._state) for one in (both, resumed)))
-
-
 def test_a_barrier_for_each_limit_by_hand():
-    """t = 2, limits 5 and 3: z = -2 and 1 of the cost, -1 and 2 of the streak. Inside -log(-z) / 2,
-    beyond -1/4 the tangent 2 z + log(4)/2 + 1/2. As PyTorch differentiates it."""
+    """t = 2, limits 5 and 3: z = -2 and 1 for the cost, -1 and 2 for the streak. Below z = -1/4 the
+    barrier is -log(-z) / 2, above it the tangent 2 z + log(4)/2 + 1/2. Slopes against PyTorch."""
     rule = algorithm("sac-lb").rule
     it = small("sac-lb", cost_limit=5.0, streak_limit=3.0, log_barrier_factor=2.0)
     risk = np.array([[[3.0, 6.0], [2.0, 5.0]]])
@@ -279,7 +270,7 @@ def test_a_barrier_for_each_limit_by_hand():
     np.testing.assert_allclose(pull(np.ones_like(risk)), leaf.grad)
 
 
-def test_the_bonus_for_new_states_does_not_count_streaks():
+def test_the_novelty_bonus_does_not_depend_on_streaks():
     learner = trainer(config("sac-lb-streak", streak_weight=0.0, **OFF_POLICY)).learner
     states = np.zeros((2, 3, 4), np.float32)
     states[..., 2:] = np.arange(3)[:, None]

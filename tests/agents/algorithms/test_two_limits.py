@@ -1,4 +1,4 @@
-"""Algorithms of several costs and multipliers."""
+"""User-defined algorithms with two costs, limits and multipliers."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -22,7 +22,7 @@ from agents.training.config import TrainConfig
 
 register_toys()
 TWO = {"sac-two": "sac-lag", "trpo-two": "trpo-lag", "ppo-two": "ppo-lag"}
-"""With a second multiplier, on a second cost; examples/my_limits.py has such an algorithm too."""
+"""Algorithms with a second multiplier, of a second cost, and what each is derived from."""
 COSTS = ("cost", "cost_2")
 
 
@@ -56,9 +56,11 @@ def multiplier_values(it):
 
 
 def test_penalties_by_hand():
-    """Off-policy each risk times its multiplier: 2·(1, 3) and 5·(4, 0). On-policy
-    (A_r - Σ λ_k A_k) / (1 + Σ λ_k): (7 - 2·1 - 5·4) / 8 = -15/8, (2 - 2·3 - 0) / 8 = -1/2. With one
-    multiplier (7 - 2) / 3 and (2 - 6) / 3; with none the advantages."""
+    """Off-policy each risk is multiplied by its multiplier: 2·(1, 3) and 5·(4, 0).
+
+    On-policy the advantage is (A_r - Σ λ_k A_k) / (1 + Σ λ_k): (7 - 2·1 - 5·4) / 8 = -15/8 and
+    (2 - 2·3 - 0) / 8 = -1/2; with one multiplier (7 - 2) / 3 and (2 - 6) / 3; with none A_r.
+    """
     both, multipliers = torch.tensor([[[1.0, 3.0], [4.0, 0.0]]]), torch.tensor([[2.0, 5.0]])
     penalty = algorithm("sac-two").rule.penalty(None, both, multipliers)
     assert penalty.tolist() == [[[2.0, 6.0], [20.0, 0.0]]]
@@ -72,14 +74,14 @@ def test_penalties_by_hand():
         assert algorithm(name).rule.advantage(None, reward, both, torch.zeros(1, 0)) is reward
 
 
-def test_one_cost_is_too_few(tmp_path):
+def test_training_on_fewer_costs_than_limits_is_refused(tmp_path):
     with pytest.raises(UserError, match="limits 2 costs"):
         agents.train("trpo-two", "TwoCosts-v0", costs=("cost",), out=tmp_path / "x")
 
 
 def test_off_policy_each_follows_the_risk_of_its_cost():
-    """Plain gradients through softplus: a parameter rises by 0.1·σ(5)·(risk - d), of the risk that
-    the records say; σ(5) = 0.9933071."""
+    """With SGD through softplus a parameter rises by 0.1·σ(5)·(risk - d) for the recorded risk;
+    σ(5) = 0.9933071."""
     changes = {"gradient_steps": 1, "initial_multiplier": 5.0}
     it = trainer(config("sac-two", cost_limit=0.5, cost_limit_2=7.0, **changes))
     it.run_epoch()
@@ -96,7 +98,7 @@ def test_off_policy_each_follows_the_risk_of_its_cost():
 
 @pytest.mark.parametrize("name", ["trpo-two", "ppo-two"])
 def test_on_policy_each_follows_the_mean_cost_of_its_episodes(name):
-    """Plain gradients: λ rises by 0.1 (J_C - d), of costs counted here from what was recorded."""
+    """With SGD λ rises by 0.1 (J_C - d), where J_C is computed here from the recorded costs."""
     it = trainer(config(name, initial_multiplier=5.0, cost_limit=3.0, cost_limit_2=7.0))
     it.run_epoch()
     for run in (0, 1):
@@ -108,9 +110,9 @@ def test_on_policy_each_follows_the_mean_cost_of_its_episodes(name):
 
 
 @pytest.mark.parametrize("name", TWO)
-def test_with_a_second_multiplier_of_0_it_is_the_algorithm_of_one(name):
-    """Networks that both have are drawn alike; on-policy so are the trained policy and the first
-    multiplier. Off-policy softplus is never 0."""
+def test_with_a_second_multiplier_of_0_it_is_the_algorithm_with_one(name):
+    """The networks that both have start alike; on-policy the trained policy and the first
+    multiplier agree as well. Off-policy the multiplier, a softplus, is never 0."""
     limits = {"cost_limit": 1.0, "initial_multiplier": 0.0}
     two = trainer(config(name, cost_limit_2=1e9, **limits))
     one = trainer(config(TWO[name], **limits))
@@ -126,8 +128,8 @@ def test_with_a_second_multiplier_of_0_it_is_the_algorithm_of_one(name):
 
 
 def test_limits_of_an_episode_are_those_of_a_cost_spread_evenly():
-    """Both limits of an episode of ten steps, 3 and 1, discounted step by step; the training is
-    that with these limits of Q_c, while its results are held to 3 and 1."""
+    """The limits of an episode of ten steps are 3 and 1. The training is the one whose limits of
+    Q_c are these costs, spread evenly and discounted; results are compared with 3 and 1."""
     spread = {d: sum(d / 10 * 0.9**k for k in range(10)) for d in (3.0, 1.0)}
     limits = {"discount": 0.9, "initial_multiplier": 5.0}
     of_episode = config("sac-two", **limits, limit_of="episode", cost_limit=3.0, cost_limit_2=1.0)
@@ -146,9 +148,9 @@ def test_limits_of_an_episode_are_those_of_a_cost_spread_evenly():
             np.testing.assert_allclose(value, b[name], rtol=1e-5, atol=1e-6, err_msg=name)
 
 
-def test_limits_that_no_multiplier_has():
-    """A surrogate sees each cost above its own limit, of costs counted here; the limit of an
-    episode is converted in both. A cost that nothing limits has no excess."""
+def test_limits_without_multipliers():
+    """A surrogate sees by how much each cost exceeds its own limit, from the recorded costs; a cost
+    without a limit has no excess. Off-policy both limits of an episode are converted."""
     seen, own = [], algorithm("ppo-two")
 
     def surrogate(config, policy, ratio, batch):
@@ -187,7 +189,7 @@ def test_a_multiplier_of_what_is_not_there_is_refused():
     ):
         with pytest.raises(ValueError, match=words):
             agents.register("wrong", own._replace(rule=own.rule._replace(multipliers=(wrong,))))
-    # Else nothing would be limited, and reports would say so of a cost that is not learned.
+    # Otherwise a report would call a cost limited that is not learned.
     without = own.rule._replace(multipliers=())
     for changes, words in (
         ({"limits": ("cost_limit", "cost_limt_2")}, "'cost_limt_2': did you mean 'cost_limit_2'"),

@@ -1,4 +1,4 @@
-"""Closed forms of the rules of the SAC family against PyTorch's gradients."""
+"""Closed-form gradients of the SAC family's rules against PyTorch's autograd."""
 
 import functools
 from dataclasses import replace
@@ -32,7 +32,7 @@ CONFIGS = {
 
 
 def of(name):
-    """The rule and config of an algorithm with some changes."""
+    """Return the rule and the config of a case of CONFIGS."""
     found = algorithm(name.partition(",")[0])
     return found.rule, found.config(**{"discount": 0.9, "batch_size": 64} | CONFIGS[name])
 
@@ -43,7 +43,7 @@ def test_all_algorithms_of_the_family_are_here():
 
 
 def batch(config, rng, rows, costs=1):
-    """A batch of random transitions, in float64."""
+    """Return a batch of random transitions, in float64."""
     shape, seen = (RUNS, rows), (RUNS, rows, critic_inputs(config, 2, costs))
     reward, cost = rng.normal(size=shape), rng.random((RUNS, costs, rows))
     action = rng.uniform(-1, 1, (*shape, 2))
@@ -52,9 +52,9 @@ def batch(config, rng, rows, costs=1):
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_values_and_gradients(name):
-    """In float64, for critics that are equal, far apart and in between, and an own slope for each
-    value; a function that wraps a built-in one has no closed form."""
+def test_closed_forms_agree_with_autograd(name):
+    """Values and gradients in float64, for critics that are equal, far apart and in between, with a
+    random output gradient. A function that wraps a built-in one is differentiated by autograd."""
     rule, config = of(name)
     rng, shape = np.random.default_rng(0), (RUNS, config.cost_critics, ROWS)
     values, following = rng.normal(scale=3.0, size=(2, *shape))
@@ -81,7 +81,7 @@ def test_values_and_gradients(name):
 
 
 def trained(rule, config, nets, seed=1):
-    """The state and the records of three updates."""
+    """Return the state and the records after three updates."""
     rng, found = np.random.default_rng(seed), []
     state = sac.initial_state(nets, config, rule, range(RUNS))
     for _ in range(3):
@@ -95,8 +95,8 @@ def trained(rule, config, nets, seed=1):
 
 @pytest.mark.parametrize("costs", [1, 2])
 @pytest.mark.parametrize("name", CONFIGS)
-def test_a_rule_of_ones_own_trains_to_the_same_numbers(name, costs):
-    """Written as the built-in one, but differentiated by PyTorch; of one cost and of two."""
+def test_a_user_defined_rule_trains_to_the_same_numbers(name, costs):
+    """The rule is the built-in one, but differentiated by PyTorch; for one cost and for two."""
     rule, config = of(name)
     rule = rule._replace(costs=costs)
     own = {k: getattr(rule, k) for k in ("risk", "critic_loss", "penalty")}
@@ -117,7 +117,7 @@ def test_a_rule_of_ones_own_trains_to_the_same_numbers(name, costs):
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 8.0])
 def test_gradients_of_sampled_actions(scale):
-    """Against PyTorch's of `tanh(μ + σ·noise)` and its log-probability, in float64."""
+    """Against PyTorch's gradients of `tanh(μ + σ·noise)` and its log-probability, in float64."""
     rng = np.random.default_rng(0)
     outputs, noise = scale * rng.normal(size=(2, 30, 6)), rng.normal(size=(2, 30, 3))
     of_action, of_log_prob = rng.normal(size=(3, 2, 30)), rng.normal(size=(2, 1))
@@ -138,7 +138,8 @@ def test_gradients_of_sampled_actions(scale):
 
 
 def test_the_batch_of_a_rule_without_closed_forms_is_a_multiple_of_32():
-    """PyTorch computes the rest of a vector otherwise than the vector."""
+    """PyTorch computes the rest behind the last full vector otherwise, so that a run's numbers
+    would depend on the runs beside it."""
     rule, config = of("sac-lag")
     config = replace(config, batch_size=50)
     OffPolicy(config, rule, (0,), 2, 1)
@@ -148,8 +149,8 @@ def test_the_batch_of_a_rule_without_closed_forms_is_a_multiple_of_32():
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_runs_alone_and_among_others_with_any_batch(name):
-    """Bit for bit, as every training; batches of 50 leave a rest of every vector."""
+def test_a_run_is_bitwise_the_same_alone_with_any_batch_size(name):
+    """Batches of 50 are no multiple of the vectors' length."""
     rule, config = of(name)
     nets = sac.make_nets(config, 2, 2, 1)
     rng = np.random.default_rng(2)

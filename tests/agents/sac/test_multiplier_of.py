@@ -1,4 +1,4 @@
-"""What multipliers of the SAC family follow, recomputed from what the run did."""
+"""The costs that multipliers of the SAC family follow, recomputed from the run's rollouts."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def training(name, multiplier_of, **changes):
 
 
 def epochs(it, count):
-    """Each epoch's rollout, state before, and metrics by name."""
+    """Yield each epoch's rollout, the state before it, and its metrics by name."""
     learn = it.learner.learn
     for _ in range(count):
         seen = {}
@@ -39,9 +39,11 @@ def epochs(it, count):
 
 
 @pytest.mark.parametrize("name", ["sac-lag", "wcsac"])
-def test_the_cost_of_the_last_episodes(name):
-    """Of ten at most; WCSAC's is the mean of their worst half, ties split: of an odd number the
-    middle one counts by a half. The multiplier's parameter ascends its slope times the excess."""
+def test_a_multiplier_of_episodes_follows_the_cost_of_the_last_ten(name):
+    """For WCSAC the mean of their worst half; of an odd number the middle one counts half.
+
+    The multiplier's parameter rises by its slope times the excess.
+    """
     it, costs, compared = training(name, "episode", cost_limit=3.0), [[], []], 0
     assert it.config.learned.cost_limit == 3.0
     for rollout, before, metrics in epochs(it, 30):
@@ -69,8 +71,8 @@ def test_the_cost_of_the_last_episodes(name):
 
 @pytest.mark.parametrize("normalize", [False, True])
 @pytest.mark.parametrize("name", ["sac-lag", "cal", "wcsac"])
-def test_the_risk_at_start_states(name, normalize):
-    """By the networks of before each gradient step, at the start states of the episodes alone."""
+def test_a_multiplier_of_start_follows_the_risk_at_start_states(name, normalize):
+    """The risk is that of the networks before the gradient step, at start states alone."""
     it = training(name, "start", gradient_steps=1, normalize_observations=normalize)
     starts, compared, moments = [[], []], 0, None
     for rollout, before, metrics in epochs(it, 12):
@@ -83,7 +85,7 @@ def test_the_risk_at_start_states(name, normalize):
         [(_, noise)] = it.learner._draws(int(it.epochs.max()) - 1)
         for run in range(2):
             own = np.stack(starts[run])
-            if normalize:  # by the moments that the epoch before left
+            if normalize:  # by the moments after the epoch before
                 count, mean, squares = before_it[run]
                 own = (own - mean) / np.sqrt(squares / count + 1e-8)
                 own = own.clip(-10, 10).astype(np.float32)
@@ -108,7 +110,7 @@ def test_the_last_starts_are_kept():
 
 
 def test_wcsacs_damping_is_of_what_the_multiplier_follows():
-    """κ = 2, d = 5, scale 10: 2 - 10 (5 - 5.5) = 7 whatever the batch's risk."""
+    """κ = 2, d = 5, damping 10: 2 - 10 (5 - 5.5) = 7, whatever the batch's risk."""
     config = wcsac.WCSACConfig(cost_limit=5.0, multiplier_of="start")
     seen = wcsac.RULE.augmented(config, torch.tensor([[2.0]]), torch.tensor([[5.5]]))
     risk = torch.tensor([[[1.0, 3.0]]])

@@ -1,4 +1,4 @@
-"""The novelty of states against counts by hand and against plain linear algebra."""
+"""The novelty of states and the scale of rewards, by hand and against plain linear algebra."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,9 @@ from agents.lockstep import backend
 from agents.sac.replay import FEATURES, Novelty, ReturnScale
 
 
-def test_two_places():
-    """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
-    and about exp(-d² / 2): .88 at half a length and 0 far away."""
+def test_the_novelty_near_a_visited_state_and_far_away_by_hand():
+    """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k = φ(s)ᵀ φ(t) is about
+    exp(-d² / 2): 0.88 at half a length and 0 far away."""
     novelty = Novelty(1.0, range(40), 2)
     visited = np.zeros((1, 40, 2), np.float32)
     novelty.add(visited, np.ones(40, dtype=int))
@@ -20,13 +20,12 @@ def test_two_places():
     near, far = novelty.of(places).mean(axis=0)
     k = np.exp(-(0.5**2) / 2)
     assert near == pytest.approx(np.sqrt(1 - k**2 / 2), abs=0.02)
-    # of 64 random angles the mean cosine has a square of 1 / 128 on average
+    # The squared mean cosine of 64 random angles is 1 / 128 on average.
     assert far == pytest.approx(1.0, abs=0.01)
 
 
-def test_against_a_linear_solution():
-    """Of features made here from the drawn frequencies; in float64, by solving instead of
-    inverting."""
+def test_the_novelty_against_the_solution_of_a_linear_system():
+    """The features are computed here from the drawn frequencies, in float64."""
     rng = np.random.default_rng(1)
     novelty = Novelty(0.7, [5, 6], 3)
     states = rng.normal(size=(30, 2, 3)).astype(np.float32)
@@ -43,7 +42,7 @@ def test_against_a_linear_solution():
         np.testing.assert_allclose(found[run], expected, rtol=1e-3)
 
 
-def test_what_only_critics_see_does_not_count():
+def test_inputs_that_only_critics_have_do_not_count():
     novelty = Novelty(1.0, [0], 2)
     states = np.random.default_rng(3).normal(size=(20, 1, 3)).astype(np.float32)
     novelty.add(states, np.array([20]))
@@ -52,7 +51,7 @@ def test_what_only_critics_see_does_not_count():
 
 
 def test_the_number_of_threads_does_not_matter():
-    """Bit for bit, as of all training; numpy's inverse of such matrices does depend on it."""
+    """The inverse is the same bit for bit, though NumPy's own inverse depends on the threads."""
     found = set()
     for threads in (1, 2):
         with backend.restored(), threadpool_limits(threads):
@@ -65,8 +64,8 @@ def test_the_number_of_threads_does_not_matter():
     assert len(found) == 12
 
 
-def test_the_bonus_joins_the_learned_reward_alone():
-    """The batch has the reward of the replay and the weighted novelty; records have the plain."""
+def test_the_bonus_is_added_to_the_rewards_of_batches_alone():
+    """The replay keeps the plain rewards."""
     it = trained("sac-lb", "Circle2D-1-v0", steps=300, novelty_bonus=3.0, random_steps=100)
     learner = it.learner
     index = np.tile(np.arange(32), (2, 1))
@@ -79,7 +78,7 @@ def test_the_bonus_joins_the_learned_reward_alone():
 
 
 def test_the_scale_of_rewards_is_that_of_all_discounted_returns():
-    """By the definition, return for return; a run that takes no part keeps its scale."""
+    """By the definition, return by return; a run without steps keeps its scale."""
     rng = np.random.default_rng(4)
     scale, returns = ReturnScale(2, 0.9), [[], []]
     for length in ([5, 3], [4, 0], [1, 6]):
@@ -95,8 +94,7 @@ def test_the_scale_of_rewards_is_that_of_all_discounted_returns():
     np.testing.assert_allclose(scale.of(learned), expected, rtol=1e-6)
 
 
-def test_the_scale_follows_training_and_resumes():
-    """A checkpoint in the middle goes on bit for bit, and the rewards of batches are scaled."""
+def test_batches_are_scaled_and_the_scale_is_in_the_checkpoint():
     it = trained("sac-lag", "Circle2D-1-v0", steps=300, reward_scale="running", random_steps=100)
     learner = it.learner
     plain = learner._replay.gather(np.tile(np.arange(32), (2, 1)))

@@ -1,4 +1,4 @@
-"""Inputs of an epoch's updates: replay, noise and policy; runs that learn or wait."""
+"""The inputs of an epoch's updates: transitions from the replay, noise, and exploration."""
 
 from dataclasses import replace
 
@@ -21,13 +21,14 @@ def training(**changes):
 
 
 def test_a_share_of_each_batch_is_of_the_random_actions():
-    """A quarter of 64: 16 rows of the first 200, which stay; the others of the last 300."""
+    """With a share of a quarter, 16 rows of 64 are drawn from the first 200 transitions, which stay
+    in the replay, and the others from the last 300."""
     it = training(batch_size=64, random_steps=200, random_share=0.25, replay_size=500)
     for _ in range(4):
         it.run_epoch()
     first = it.learner._replay._rows[:, :200].copy()
     of_random_alone = np.concatenate([index.ravel() for index, _ in it.learner._draws(4)])
-    assert of_random_alone.max() < 200  # as long as there is nothing else
+    assert of_random_alone.max() < 200  # as long as there are no other transitions
     for _ in range(36):
         it.run_epoch()
     np.testing.assert_array_equal(it.learner._replay._rows[:, :200], first)
@@ -48,7 +49,7 @@ def test_noise_is_fresh_and_without_a_share_every_slot_is_drawn():
     draws = [draw for epoch in range(40) for draw in it.learner._draws(epoch)]
     slots = np.concatenate([index.ravel() for index, _ in draws])
     assert (slots.min(), slots.max()) == (0, 1999)
-    assert np.bincount(slots, minlength=2000).max() < 45  # of 12.8 on average
+    assert np.bincount(slots, minlength=2000).max() < 45  # 12.8 on average
     noises = [noise for _, noises in draws[:6] for noise in noises[:2]]
     assert len({run.tobytes() for noise in noises for run in noise}) == 2 * len(noises)
 
@@ -64,7 +65,7 @@ def test_a_share_of_no_random_actions_is_refused(changes):
     [("bootstrap", (False, False)), ("terminal", (True, True)), ("terminal_cost", (False, True))],
 )
 def test_what_ends_at_the_time_limit(time_limit, ends):
-    """Of return and cost, at the last of 50 steps of an episode and nowhere else."""
+    """Whether the last of an episode's 50 steps is terminal for the return and for the cost."""
     it = training(time_limit=time_limit)
     for _ in range(2):
         it.run_epoch()
@@ -74,7 +75,7 @@ def test_what_ends_at_the_time_limit(time_limit, ends):
         np.testing.assert_array_equal(column, np.tile(last & expected, (2, 1)))
 
 
-def test_episodes_start_elsewhere():
+def test_episodes_have_different_starts():
     it, starts = training(random_steps=0), []
     for _ in range(3):
         it.run_epoch()
@@ -83,7 +84,7 @@ def test_episodes_start_elsewhere():
 
 
 def test_metrics_are_means_over_gradient_steps():
-    """The temperature moves by its learning rate at most, so its mean stays near 1."""
+    """The temperature changes by at most its learning rate per step, so its mean stays near 1."""
     it = training(gradient_steps=20)
     for _ in range(6):
         it.run_epoch()
@@ -114,7 +115,7 @@ def random_rollout(rng, steps, lengths):
 
 
 class Kept(list):
-    """The first rows of a run, and behind them the last: a list that forgets in its middle."""
+    """A list of a run's first `kept` rows and its last ones: those between are dropped."""
 
     def __init__(self, capacity, kept):
         super().__init__()

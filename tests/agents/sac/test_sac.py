@@ -1,5 +1,5 @@
-"""The SAC family's losses against hand arithmetic; `tests/benchmarks` has whole updates beside a
-plain loop, `test_stable_baselines` beside another library's."""
+"""The SAC family's losses by hand. Whole updates are compared with a plain loop in
+`tests/benchmarks`, and with another library in `test_stable_baselines`."""
 
 import math
 from dataclasses import replace
@@ -30,7 +30,8 @@ def two_transitions():
 
 
 def constant_nets(config, values, targets):
-    """Nets whose weights are 0: each critic says its last bias, the actor mean 0 and log-std 0."""
+    """Return nets whose weights are 0: a critic's value is its last bias; the actor's mean and
+    log-std are 0."""
     nets = sac.make_nets(config, 2, 2, 1)
     state = sac.initial_state(nets, config, RULE, [0])
     critics, slow = np.zeros((2, 1, 4, nets.critic.size), np.float32)
@@ -42,11 +43,12 @@ def constant_nets(config, values, targets):
 def test_losses_by_hand():
     """Two transitions: r = 1, -2; c = 0, 1; the second is terminal; γ = 0.9; α = 1; β = ln 2.
 
-    Reward critics say 3 and 4, their targets 2 and 1.5; cost critics 6 and 7, targets 8 and 9.
-    The actor's mean is 0 and its deviation 1; with noise 0, a = 0 and per component
-    log π = -½ ln 2π - 2 (ln 2 - 0 - ln 2) = -0.9189385, both: -1.8378771.
+    The reward critics' values are 3 and 4, those of their target networks 2 and 1.5; the cost
+    critics' are 6 and 7, with targets 8 and 9. The actor's mean is 0 and its standard deviation 1;
+    with noise 0, a = 0 and log π = -½ ln 2π - 2 (ln 2 - 0 - ln 2) = -0.9189385 per component, in
+    sum -1.8378771.
     """
-    config = replace(CONFIG, learning_rate=1e-12)  # the actor's loss is with the stepped critics
+    config = replace(CONFIG, learning_rate=1e-12)  # the actor's loss is after the critics' step
     nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
     noise = sac.UpdateNoise(*np.zeros((2, 1, 2, 2), np.float32))
     log_prob = -math.log(2 * math.pi)
@@ -90,8 +92,8 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     np.testing.assert_allclose(deterministic, torch.tanh(mean).numpy())
 
 
-def test_every_critic_starts_elsewhere():
-    """Twins that start alike stay alike, and their minimum is no caution."""
+def test_every_critic_has_initial_parameters_of_its_own():
+    """Twins that start alike would stay alike, and their minimum would be the value of either."""
     nets = sac.make_nets(CONFIG, 3, 2, 1)
     critics = sac.initial_state(nets, CONFIG, RULE, (0, 1)).critics
     assert len({critic.tobytes() for of_run in critics for critic in of_run}) == 2 * 4
@@ -108,7 +110,7 @@ def test_every_critic_starts_elsewhere():
     ],
 )
 def test_a_rule_that_returns_other_shapes_is_refused(changed, message):
-    """Before it trains: a sum over another axis would go unnoticed."""
+    """Before training, since a sum over the wrong axis would go unnoticed."""
     with pytest.raises(ValueError, match=message):
         OffPolicy(SACLagConfig(), RULE._replace(**changed), (0, 1, 2), 2, 1)
 
