@@ -34,6 +34,44 @@ class Scripted(gym.Env):
         return self._observation(), 0.5, done and not odd, done and odd, info
 
 
+def follow(envs, rows, names):
+    """Check 30 steps of a wrapped vector environment of `Scripted`, in its autoreset mode.
+
+    rows: for each environment, episode and step, a pair: the values of `names` in the info, and
+    what the wrapper appends to the observation. A step that only resets gives zeros. Returns the
+    last info.
+    """
+    mode, count = envs.metadata["autoreset_mode"].value, len(rows)
+    place = [[0, 0] for _ in range(count)]  # episode and steps taken of each environment
+    waits = [False] * count
+    for _ in range(30):
+        if mode == "Disabled" and any(waits):
+            observations, _ = envs.reset(options={"reset_mask": np.array(waits)})
+            assert (observations[waits, 2:] == 0).all()
+            waits = [False] * count
+        observations, _, terminated, truncated, info = envs.step(np.zeros(count, int))
+        for i in range(count):
+            if waits[i]:
+                assert [info[name][i] for name in names] == [0] * len(names)
+                assert (observations[i, 2:] == 0).all()
+                waits[i] = False
+                continue
+            episode, at = place[i]
+            values, shown = rows[i][episode][at]
+            assert [info[name][i] for name in names] == list(values)
+            over = at + 1 == len(rows[i][episode])
+            assert terminated[i] + truncated[i] == over
+            place[i] = [(episode + 1) % len(rows[i]), 0] if over else [episode, at + 1]
+            seen = observations[i]
+            if over and mode == "SameStep":
+                assert (seen[2:] == 0).all()
+                assert [info["final_info"][name][i] for name in names] == list(values)
+                seen = info["final_obs"][i]
+            assert seen.tolist() == [episode, at + 1, *shown]
+            waits[i] = bool(over and mode != "SameStep")
+    return info
+
+
 class TwoCosts(gym.Wrapper):
     """Adds a second cost: 1 in steps where the first is 0, otherwise 0."""
 

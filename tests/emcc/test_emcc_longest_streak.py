@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hypothesis import given
 from hypothesis import strategies as st
-from scripted import Noisy, Scripted, TwoCosts
+from scripted import Noisy, Scripted, TwoCosts, follow
 
 from emcc import LongestStreak, RecordCosts, StreakCost, cvar, longest_streaks, streaks
 from emcc.streaks import record
@@ -24,7 +24,6 @@ SCRIPTS = (
     [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
 )
 SCALE = 4.0
-SAME, DISABLED = AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
 
 
 def expected(script, above=0):
@@ -115,36 +114,12 @@ def test_vector_environments(mode, above):
     assert envs.single_observation_space.shape == (4,)
     observations, _ = envs.reset(seed=0)
     assert observations in envs.observation_space
-    rows = [expected(script, above) for script in SCRIPTS]
-    place = [[0, 0], [0, 0]]  # episode and steps taken of each environment
-    waits = [False, False]
-    for _ in range(30):
-        if mode == DISABLED and any(waits):
-            observations, _ = envs.reset(options={"reset_mask": np.array(waits)})
-            assert (observations[waits, 2:] == 0).all()
-            waits = [False, False]
-        observations, _, terminated, truncated, info = envs.step(np.zeros(2, int))
-        assert info["longest_streak"].dtype == np.int64
-        for i in range(2):
-            if waits[i]:  # the step only resets
-                assert (info["record_cost"][i], info["longest_streak"][i]) == (0, 0)
-                assert observations[i, 2:].tolist() == [0, 0]
-                waits[i] = False
-                continue
-            episode, at = place[i]
-            cost, streak, longest = rows[i][episode][at]
-            assert (info["record_cost"][i], info["longest_streak"][i]) == (cost, longest)
-            over = at + 1 == len(rows[i][episode])
-            assert terminated[i] + truncated[i] == over
-            place[i] = [(episode + 1) % len(rows[i]), 0] if over else [episode, at + 1]
-            seen = observations[i]
-            if over and mode == SAME:
-                assert seen[2:].tolist() == [0, 0]
-                final = info["final_info"]
-                assert (final["record_cost"][i], final["longest_streak"][i]) == (cost, longest)
-                seen = info["final_obs"][i]
-            assert seen.tolist() == [episode, at + 1, streak / SCALE, longest / SCALE]
-            waits[i] = bool(over and mode != SAME)
+    rows = [
+        [[((cost, m), (k / SCALE, m / SCALE)) for cost, k, m in steps] for steps in episodes]
+        for episodes in (expected(script, above) for script in SCRIPTS)
+    ]
+    info = follow(envs, rows, ("record_cost", "longest_streak"))
+    assert info["longest_streak"].dtype == np.int64
 
 
 def test_several_costs():

@@ -10,7 +10,7 @@ pytest.importorskip("gymnasium", minversion="1.1")
 import gymnasium as gym
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from scripted import Scripted
+from scripted import Scripted, follow
 
 from emcc import RecordCosts, StreakCost
 from emcc.streak_cost import weighted
@@ -75,34 +75,11 @@ def test_vector_environments(mode):
     envs = StreakCost(envs, WEIGHT, scale=SCALE)
     observations, _ = envs.reset(seed=0)
     assert observations.shape == (2, 3)
-    rows = [expected(script) for script in SCRIPTS]
-    place = [[0, 0], [0, 0]]  # episode and steps taken of each environment
-    waits = [False, False]
-    for _ in range(30):
-        if mode == DISABLED and any(waits):
-            observations, _ = envs.reset(options={"reset_mask": np.array(waits)})
-            assert (observations[waits, 2] == 0).all()
-            waits = [False, False]
-        observations, _, terminated, truncated, info = envs.step(np.zeros(2, int))
-        for i in range(2):
-            if waits[i]:  # the step only resets
-                assert (info["cost"][i], observations[i, 2]) == (0.0, 0.0)
-                waits[i] = False
-                continue
-            episode, at = place[i]
-            cost, plain, streak = rows[i][episode][at]
-            assert (info["cost"][i], info["plain_cost"][i]) == (cost, plain)
-            over = at + 1 == len(rows[i][episode])
-            assert terminated[i] + truncated[i] == over
-            place[i] = [(episode + 1) % len(rows[i]), 0] if over else [episode, at + 1]
-            seen = observations[i]
-            if over and mode == SAME:
-                assert seen[2] == 0
-                assert info["final_info"]["cost"][i] == cost
-                assert info["final_info"]["plain_cost"][i] == plain
-                seen = info["final_obs"][i]
-            assert seen.tolist() == [episode, at + 1, streak / SCALE]
-            waits[i] = bool(over and mode != SAME)
+    rows = [
+        [[((cost, plain), (k / SCALE,)) for cost, plain, k in steps] for steps in episodes]
+        for episodes in map(expected, SCRIPTS)
+    ]
+    follow(envs, rows, ("cost", "plain_cost"))
 
 
 def test_a_reset_of_one_environment_keeps_the_streak_of_another():
