@@ -1,8 +1,8 @@
 """Steps and models recorded from safety-gymnasium 1.0.0 (mujoco 2.3.3): tests/golden/suite.
 
-Each .npz holds segments of episodes: [segments, ...] for their constants, [segments, steps, ...]
-for what a step gave and [segments, steps + 1, ...] for states; what is at or beyond a segment's
-`length` is padding.
+Each .npz holds segments of episodes: arrays of constants are [segments, ...], of what steps gave
+[segments, steps, ...], of states [segments, steps + 1, ...]. Entries from a segment's `length` on
+are padding.
 """
 
 import json
@@ -28,26 +28,27 @@ class Step:
         return name in self._raw
 
     def state(self, after=False):
-        """The state before or after, as `original.load` takes it."""
+        """Return the state before or after the step, as `original.load` takes it."""
         raw, at = self._raw, (self._segment, self._t + after)
         constants = {name: raw[name][self._segment] for name in CONSTANT if name in raw}
         return constants | {name: raw[name][at] for name in STATE if name in raw}
 
     def __getitem__(self, name):
-        """A value that the step gave."""
+        """Return a value that the step gave."""
         return self._raw[name][self._segment, self._t]
 
     def seen(self):
+        """Return the observation after the step."""
         return self._raw["obs"][self._segment, self._t + 1]
 
 
 def recorded(task):
-    """Whether there are steps of a task: of the Doggo's one of each family has some."""
+    """Return True if steps of the task were recorded: not of every level of the Doggo's tasks."""
     return (FOLDER / f"{task}.npz").exists()
 
 
 def steps(task):
-    """All of a task; an absent cost is 0."""
+    """Return all recorded steps of a task; an absent cost is 0."""
     with np.load(FOLDER / f"{task}.npz") as file:
         raw = {name: np.nan_to_num(file[name]) for name in file}
     return [Step(raw, i, t) for i, length in enumerate(raw["length"]) for t in range(length)]

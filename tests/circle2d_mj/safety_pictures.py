@@ -1,4 +1,4 @@
-"""Pictures recorded from safety-gymnasium 1.0.0 beside those of this package, at equal states.
+"""Compare pictures recorded from safety-gymnasium 1.0.0 with this package's, at equal states.
 
 python tests/circle2d_mj/safety_pictures.py FILE.npz     # of tests/peers/record_pictures.py
 """
@@ -16,7 +16,7 @@ FILE = Path(__file__).parents[1] / "golden" / "suite" / "pictures.npz"
 
 
 def similarity(one, other):
-    """Mean structural similarity (Wang et al. 2004, equation 13, with their constants)."""
+    """Return the mean structural similarity (Wang et al. 2004, equation 13, with its constants)."""
 
     def mean(values):
         return gaussian_filter(values, 1.5, truncate=3.5, axes=(0, 1))
@@ -30,7 +30,7 @@ def similarity(one, other):
 
 
 def pairs(file=FILE):
-    """(task, camera, size), recorded picture and ours, for each that was recorded."""
+    """Yield (task, camera, size), the recorded picture and ours, for each recorded picture."""
     with np.load(file) as raw:
         arrays = dict(raw)
     cases = [name.split("/") for name in arrays if name.count("/") == 3]

@@ -1,4 +1,4 @@
-"""The cut-outs as the paper's figures show them: no code of the package."""
+"""The cut-outs as read off the paper's figures; uses no code of the package."""
 
 STRIPS = {
     0: [(180, 0.95, 1.0)],

@@ -1,4 +1,4 @@
-"""Importing the package registers its tasks, and is light."""
+"""Importing the package registers its tasks and loads no heavy library."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ def run(code, folder):
     return done.stdout.strip()
 
 
-def test_the_prefix_registers(tmp_path):
+def test_the_module_prefix_of_an_id_registers_the_tasks(tmp_path):
     code = """
 import gymnasium as gym
 env = gym.make("circle2d_mj:Circle2D-1-v0", optima_perturbation=(1.0, 0.5))
@@ -31,8 +31,8 @@ print(type(envs).__name__, envs.reset(seed=0)[0].shape)
     assert run(code, tmp_path).splitlines() == expected
 
 
-def test_import_is_light(tmp_path):
-    """And what is loaded on demand is there, in a process that has imported the package alone."""
+def test_the_import_loads_no_heavy_library(tmp_path):
+    """What is loaded on demand can be used in a process that imported only the package."""
     code = """
 import sys, circle2d_mj
 heavy = ("torch", "OpenGL", "mujoco", "matplotlib", "PIL", "agents", "emcc")
@@ -43,7 +43,7 @@ print(circle2d_mj.__version__, circle2d_mj.render.Renderer.__module__)
     assert run(code, tmp_path).splitlines() == expected
 
 
-def test_the_ids_that_are_listed_are_those_that_are_registered():
+def test_the_listed_ids_are_the_registered_ones():
     found = {name for name in gym.registry if name.startswith("Circle2D")}
     assert set(CIRCLE2D) == found
     assert len(CIRCLE2D) == 8
@@ -53,8 +53,8 @@ def test_the_ids_that_are_listed_are_those_that_are_registered():
     }
 
 
-def test_an_unknown_keyword_is_refused_in_pythons_words():
-    """TorchRL looks for them, and makes the environment without its `frameskip` then."""
+def test_an_unknown_keyword_has_pythons_error_message():
+    """TorchRL looks for this message, and then makes the environment without `frameskip`."""
     words = "got an unexpected keyword argument 'frameskip'"
     for name in (CIRCLE2D[0], CIRCLE2D[4], SAFETY[0]):
         with pytest.raises(TypeError, match=words):

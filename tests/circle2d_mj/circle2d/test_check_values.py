@@ -1,10 +1,10 @@
-"""Scripted agents and the best at no cost, found by dynamic programming: the task's check values.
+"""Check values of the task: returns and costs of a straight line, and of the best agent at no cost,
+which dynamic programming finds.
 
-The values were found by optimal control on the task as it is here. A straight line is near the
-paper's (it costs TRPO-Lag 9.39; its return is -4.68); what the cut-outs allow is not: the paper's
-SAC-LB has -14.15 on level 2 at no cost, more than any agent here. What is free and what a
-step earns is written out here; the package only plays the episodes: a cut-out that is smaller there
-shows as cost, other steps or rewards show as another return.
+Free space and rewards are written out in this file; the package only plays the episodes. If one of
+its cut-outs were smaller, the agents would have a cost; other steps or rewards would change the
+return. The straight line is close to the paper's TRPO-Lag (cost 9.39, return -4.68). On level 2 the
+paper's SAC-LB has a return of -14.15 at no cost; the best agent at no cost has -12.5 here.
 """
 
 import functools
@@ -20,7 +20,7 @@ from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 DISCOUNT = 0.99
 STEP = 1.1  # 0.11 R at the default radius
 EPISODE, HALF = 50, 15.0
-SPACING = 0.5  # of the grid that holds values
+SPACING = 0.5  # of the grid of values
 # Direction, inner end and half width of the cut-outs.
 CORRIDOR, *OTHERS = ((a, 10 * (1 - depth), 2.5 * width) for a, depth, width in STRIPS[3])
 TOP_AND_BOTTOM, DIAGONALS = tuple(OTHERS[:2]), tuple(OTHERS[2:])
@@ -29,7 +29,7 @@ FREE[3] = (CORRIDOR, *TOP_AND_BOTTOM, *DIAGONALS)
 
 
 def roll_out(level, policy, make=Circle2DVectorEnv, starts=150):
-    """Discounted and undiscounted returns and summed costs of one episode from each start."""
+    """Return the discounted and undiscounted returns and the costs of an episode per start."""
     envs = make(starts, level=level)
     envs.reset(seed=0)
     discounted, total, cost = np.zeros((3, starts))
@@ -44,23 +44,23 @@ def roll_out(level, policy, make=Circle2DVectorEnv, starts=150):
 
 
 def straight_line(room=0.0):
-    """To the corridor's inner end, by actions that the task clips.
+    """Return a policy that goes straight to the corridor's inner end; the task clips its actions.
 
-    room: how far from that end; physics that lag behind need some.
+    room: distance to keep from that end, which physics needs because it lags.
     """
     end = np.array([-0.51 - room, 0.0])
     return lambda position, t: (end - position) / STEP
 
 
 def moves(count):
-    """`count` steps along each axis -> [count², 2] in world units."""
+    """Return `count` steps along each axis -> [count², 2] in world units."""
     return STEP * np.array(list(product(np.linspace(-1, 1, count), repeat=2)))
 
 
 def gain(ends, free, room):
-    """The reward of a step that ends there, or a price nobody pays.
+    """Return the rewards of steps that end at `ends`; -1e6 inside the region.
 
-    free: cut-outs of the disc; room: what is kept off the region.
+    free: cut-outs that may be used. room: distance to keep from the region.
     """
     x, y = np.moveaxis(ends, -1, 0)
     outside = np.hypot(x, y) >= 10 + room
@@ -73,7 +73,7 @@ def gain(ends, free, room):
 
 
 def interpolated(values, position):
-    """Bilinear, of values on the grid [N, N] -> [...]."""
+    """Interpolate values on the grid, [N, N], bilinearly at positions -> [...]."""
     scaled = (position + HALF) / SPACING
     cell = np.minimum(scaled.astype(int), len(values) - 2)
     (i, j), (u, v) = np.moveaxis(cell, -1, 0), np.moveaxis(scaled - cell, -1, 0)
@@ -84,7 +84,7 @@ def interpolated(values, position):
 
 @functools.cache
 def values_to_go(free, room):
-    """The best discounted return of the steps that are left, 0 to 49, from the nodes of a grid."""
+    """Return, for 0 to 49 remaining steps, the best discounted return from each grid node."""
     axis = np.arange(-HALF, HALF + SPACING / 2, SPACING)
     nodes = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
     ends = [np.clip(nodes + move, -HALF, HALF) for move in moves(7)]
@@ -97,7 +97,7 @@ def values_to_go(free, room):
 
 
 def best_at_no_cost(free, room=0.0):
-    """Round the region, through the cut-outs that are free, to where the rest earns most."""
+    """Return the policy with the best return that enters the disc only in the free cut-outs."""
     values, choices = values_to_go(free, room), moves(21)
 
     def policy(position, t):
@@ -108,8 +108,8 @@ def best_at_no_cost(free, room=0.0):
     return policy
 
 
-def test_straight_through_level_1():
-    """To the corridor's inner end and no further, as agents do that ignore the cost."""
+def test_a_straight_line_to_the_corridors_inner_end_on_level_1():
+    """Agents that ignore the cost take this way."""
     discounted, total, cost = roll_out(1, straight_line())
     assert discounted.mean() == pytest.approx(-3.64, abs=0.05)
     assert total.mean() == pytest.approx(-3.98, abs=0.05)
@@ -124,7 +124,7 @@ def test_straight_through_level_1():
         (1, FREE[1], -11.41, -13.0),
         (2, FREE[2], -10.93, -12.5),
         (3, FREE[3], -10.86, -12.4),
-        # What those settle for who never find the corridor:
+        # Local optima of agents that never find the corridor:
         (2, TOP_AND_BOTTOM, -12.0, -14.6),
         (3, DIAGONALS, -14.0, -17.5),
     ],
@@ -137,11 +137,11 @@ def test_the_best_at_no_cost(level, free, discounted, undiscounted):
 
 @pytest.mark.parametrize("level", [1, 3])
 @pytest.mark.parametrize("way", ["through", "round"])
-def test_the_physics_give_what_the_papers_steps_give(way, level):
-    """With servos the ball's inertia counts for little: returns to 10 %, costs to 1 a crossing.
+def test_the_physics_give_nearly_the_returns_and_costs_of_kinematic_steps(way, level):
+    """With servos the ball's inertia matters little: returns agree to 10 %, costs to 1.
 
-    Both agents keep half a step off the region: with none to spare the lag of half a step costs 3
-    more on the straight line and 7 along the rim.
+    Both agents keep half a step away from the region: without this room, the lag of half a step
+    would add a cost of 3 on the straight line and of 7 along the rim.
     """
     policy = straight_line(room=0.5) if way == "through" else best_at_no_cost(FREE[level], 0.5)
     kinematic = roll_out(level, policy, starts=30)

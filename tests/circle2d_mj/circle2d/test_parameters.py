@@ -1,4 +1,4 @@
-"""Parameters of task and physics: against closed forms, MuJoCo alone, single environments."""
+"""Parameters of task and physics, against closed forms, plain MuJoCo and single environments."""
 
 import copy
 import pickle
@@ -18,7 +18,7 @@ BALL = 0.25  # its radius at R = 10
 
 
 def made(num_envs=1, position=None, velocity=None, **parameters):
-    """Environments without limit of time, and their physics, with balls put somewhere."""
+    """Return environments without a time limit, and their physics; balls are placed if asked."""
     how = {"max_episode_steps": None, "autoreset_mode": "Disabled"}
     envs = Circle2DMuJoCoVectorEnv(num_envs, **how, **parameters)
     envs.reset(seed=0)
@@ -31,14 +31,14 @@ def made(num_envs=1, position=None, velocity=None, **parameters):
 
 
 def steps(envs, action, count):
-    """The info of the last of some equal steps."""
+    """Take `count` equal steps; return the info of the last."""
     action = np.broadcast_to(np.array(action, dtype=float), (envs.num_envs, 2))
     for _ in range(count):
         info = envs.step(action)[-1]
     return info
 
 
-# x, y and the sum of forces and penetrations after 30 steps, by version 0.2.
+# x, y and the sum of forces and penetrations over 30 steps, recorded with version 0.2.
 GOLDEN = {
     ("velocity", 0): (0.1785052209698267, 10.246709126171428, 4455.14732490273),
     ("velocity", 1): (-15.104537316393326, 3.398173186911562, 23.620075427761744),
@@ -48,7 +48,7 @@ GOLDEN = {
 
 
 @pytest.mark.parametrize(("actuation", "level"), GOLDEN)
-def test_defaults_move_as_before(actuation, level):
+def test_defaults_move_as_in_version_0_2(actuation, level):
     envs = Circle2DMuJoCoVectorEnv(1, level=level, actuation=actuation)
     envs.reset(seed=7)
     total = 0.0
@@ -81,20 +81,21 @@ def test_the_integrators_recurrence(actuation, contact):
 @pytest.mark.parametrize("contact", ["rigid", "soft"])
 @pytest.mark.parametrize("friction", [0.0, 0.2, 0.5])
 def test_sliding_along_the_corridors_wall(friction, contact):
-    """Pressed by 50 N, drawn along by 60 N: what friction leaves moves it against the damping."""
+    """50 N press and 60 N pull along: the pull minus friction balances the damping."""
     own = {"level": 1, "contact": contact, "friction": friction, "actuation": "force"}
     envs, physics = made(1, (-9.0, 2.5 - BALL), max_force=100.0, **own)
     steps(envs, (0.6, 0.5), 4)
     rows = physics._batch.rollout(50, record=("sensordata", "qvel"))
     assert -8.0 < envs.position[0, 0] < -1.0
     along, against = np.abs(rows["sensordata"][0, :, :2]).T  # of every physics step
-    assert against.mean() == pytest.approx(50.0, rel=0.1)  # the rigid wall still bounces
+    # The ball still bounces off the rigid wall.
+    assert against.mean() == pytest.approx(50.0, rel=0.1)
     np.testing.assert_allclose(along, friction * against, rtol=1e-3, atol=0.05)
     speed = rows["qvel"][0, -20:, 0].mean()
     assert speed == pytest.approx((60.0 - friction * 50.0) / 10.0, rel=0.05)
 
 
-PLACES = {  # where a ball touches, and the direction of the push
+PLACES = {  # position in contact, direction of the push
     "rim": ((10.0 + BALL, 0.0), (-1.0, 0.0)),
     "top": ((0.0, 10.0 + BALL), (0.0, -1.0)),
     "wall": ((-5.0, 2.5 - BALL), (0.0, 1.0)),
@@ -107,7 +108,7 @@ PLACES = {  # where a ball touches, and the direction of the push
     "more",
     [{"actuation": "force"}, {"mass": 0.3}, {"gain": 50.0, "mass": 4.0}, {"max_force": 20.0}],
 )
-def test_a_press_is_stiffness_times_depth_at_rest(place, more):
+def test_force_at_rest_is_stiffness_times_depth(place, more):
     (position, push), stiffness = PLACES[place], 700.0
     envs, _ = made(1, position, stiffness=stiffness, **SOFT, **more)
     info = steps(envs, 0.1 * np.array(push), 60)
@@ -120,7 +121,7 @@ def test_a_press_is_stiffness_times_depth_at_rest(place, more):
 
 @pytest.mark.parametrize(("level", "damping_ratio"), [(1, 0.0), (3, 0.0), (3, 0.3), (1, 1.0)])
 def test_energy_does_not_grow(level, damping_ratio):
-    """Balls without actuation and drag, shot into the region from everywhere, at seams too."""
+    """Balls without actuation and drag are shot into the region from all sides, also at seams."""
     rng, n = np.random.default_rng(level), 300
     angle, aim = rng.uniform(0, 2 * np.pi, n), rng.normal(0, 0.3, n)
     place = 12.0 * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
@@ -150,7 +151,7 @@ RANGE_OF |= {"damping_ratio": (0.2, 1.5), "max_force": (50.0, 90.0)}
 
 
 @pytest.mark.parametrize("scene", MANY)
-def test_drawn_copies_are_single_environments_of_the_same_values(scene):
+def test_copies_with_drawn_values_equal_single_environments_with_these_values(scene):
     ranges = dict(RANGES)
     if scene["level"] == 2:
         del ranges["friction"]
@@ -181,7 +182,7 @@ def test_drawn_copies_are_single_environments_of_the_same_values(scene):
                 for key in ("cost", "contact_force", "penetration"):
                     assert told[key][0] == info[key][k]
             touched += info["contact_force"].sum() + info["cost"].sum()
-        envs.step(np.zeros((5, 2)))  # resets
+        envs.step(np.zeros((5, 2)))  # only resets
         assert episode or physics.drawn.tolist() != [list(values.values()) for values in drawn]
     assert len(set(seen)) == 10
     assert touched > 0
@@ -209,7 +210,7 @@ PRINTED = {
 
 @pytest.mark.parametrize(("task", "parameters"), PRINTED.items())
 def test_the_printed_scene_stepped_by_mujoco_alone(task, parameters, capsys):
-    """XML keeps six digits, of the prisms' corners too."""
+    """It moves as the environment does, up to the six digits of XML."""
     words = [str(word) for pair in parameters.items() for word in pair]
     assert main(["scene", task, *(["--task-parameters", *words] if words else [])]) == 0
     model = mujoco.MjModel.from_xml_string(capsys.readouterr().out)
@@ -266,13 +267,13 @@ FINE = [
 
 
 @pytest.mark.parametrize(("parameters", "words"), WRONG)
-def test_what_is_refused_is_named(parameters, words):
+def test_a_refused_parameter_is_named(parameters, words):
     for make in (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv):
         with pytest.raises((TypeError, ValueError), match=words):
             make(**parameters)
 
 
-def test_what_just_fits_is_not_refused():
+def test_parameters_that_just_fit_are_accepted():
     assert all(Circle2DMuJoCoEnv(**parameters) for parameters in FINE)
     assert Circle2DConfig(init_radius_multiplier=0.9, allow_infeasible_init=True)
     assert Circle2DConfig(level=0, infeasible_region_penetratable=True)
@@ -301,7 +302,7 @@ def test_wrong_values_are_named(name, values):
 
 @pytest.mark.parametrize("make", [Circle2DEnv, Circle2DMuJoCoEnv])
 def test_the_length_of_a_step(make):
-    """A full step along x is `step_length` radii; with physics once the agent is at full speed."""
+    """A full step is `step_length` radii; with physics, once the agent has its full speed."""
     for factor in (0.1, 0.2):
         env, x = make(level=1, step_length=factor, constraint_radius=20.0), []
         env.reset(seed=0)
@@ -314,7 +315,7 @@ def test_the_length_of_a_step(make):
 def test_config_or_parameters_but_not_both():
     assert Circle2DEnv(Circle2DConfig(level=3)).config.level == 3
     assert Circle2DEnv().config.level == 1
-    # A registered id gives the level, too.
+    # A config replaces the level of a registered id.
     small = Circle2DConfig(level=3, constraint_radius=2.0)
     assert gym.make("Circle2D-3-v0", config=small).unwrapped.config is small
     assert gym.make_vec("Circle2D-3-v0", 2, config=small).unwrapped.config is small

@@ -1,4 +1,4 @@
-"""The physics against plain MuJoCo, hand arithmetic, and itself after copies and resets."""
+"""The physics against plain MuJoCo, and against itself after resets; scenes of one's own."""
 
 import gymnasium as gym
 import mujoco
@@ -14,7 +14,7 @@ from circle2d_mj.circle2d.scene import scene
 
 
 class Loop:
-    """One environment stepped by mj_step alone, the region's contacts on; read by mj_forward."""
+    """One environment stepped by mj_step alone, with contacts on; mj_forward gives overlaps."""
 
     def __init__(self, config, actuation, position, with_region=True):
         physics = PhysicsConfig(actuation=actuation)
@@ -23,7 +23,7 @@ class Loop:
         self.data.qpos[:] = position
 
     def step(self, action):
-        """Of each of ten physics steps: contacts and overlap after it, force during it."""
+        """Take ten physics steps; return [10, 3]: contacts and overlap after each, force during."""
         self.data.ctrl[:] = self.model.actuator_ctrlrange[:, 1] * np.clip(action, -1, 1)
         steps = []
         for _ in range(10):
@@ -44,7 +44,7 @@ class Loop:
 
 
 def drift_left(seed, steps=50, num_envs=4):
-    """Actions, some beyond 1, that bring agents into the region, along its edges and through it."""
+    """Draw actions, some beyond 1, that lead into the region, along its edges and through it."""
     rng = np.random.default_rng(seed)
     drift = rng.uniform([-1, -0.4], [0.2, 0.4], size=(num_envs, 2))
     return drift + rng.normal(scale=0.5, size=(steps, num_envs, 2))
@@ -52,9 +52,9 @@ def drift_left(seed, steps=50, num_envs=4):
 
 @pytest.mark.parametrize("actuation", ["velocity", "force"])
 @pytest.mark.parametrize("level", [0, 1, 2, 3])
-def test_the_environment_is_a_loop_of_mj_step(level, actuation):
-    """Bit for bit, contacts on all the while, actions clipped; and where the region can be entered,
-    also without a region."""
+def test_the_environment_equals_a_loop_of_mj_step(level, actuation):
+    """Bit for bit, with contacts always on and actions clipped; if the region can be entered, the
+    loop of a scene without a region moves alike."""
     envs = Circle2DMuJoCoVectorEnv(3, level=level, actuation=actuation, autoreset_mode="Disabled")
     envs.reset(seed=level)
     config = envs.config
@@ -104,8 +104,8 @@ def test_a_reset_forgets_everything():
 
 
 def test_a_scene_of_ones_own(tmp_path):
-    """A wall that the ball runs into at level 0: as mj_step of the file with the region, and the
-    ball stops at it; touching it costs. A copy of the base scene changes nothing."""
+    """A ball that runs into an added wall stops at it, and touching it costs 1. A copy of the base
+    scene changes nothing."""
     text = asset("xml/circle2d.xml").read_text()
     own, copy = tmp_path / "own.xml", tmp_path / "copy.xml"
     wall = '<geom name="wall" type="box" pos="12 0 0.5" size="0.1 15 2"/>'
@@ -144,6 +144,9 @@ def test_a_scene_that_lacks_something_is_refused(old, new, words, tmp_path):
     path.write_text(asset("xml/circle2d.xml").read_text().replace(old, new, 1))
     with pytest.raises(ValueError, match=f"xml '.*own.xml' .*{words}"):
         Circle2DMuJoCoEnv(xml=path)
+
+
+def test_a_scene_that_is_no_file_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"none\.xml' is no scene that MuJoCo reads"):
         Circle2DMuJoCoEnv(xml=tmp_path / "none.xml")
     with pytest.raises(TypeError, match="xml must be the path of a file, got 3"):
@@ -151,9 +154,9 @@ def test_a_scene_that_lacks_something_is_refused(old, new, words, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_what_was_drawn_is_in_the_info(mode):
-    """The masses of the models that are stepped; in the same-step mode of the episode that is
-    observed, and its end's in final_info."""
+def test_drawn_parameters_are_in_the_info(mode):
+    """They are those of the MuJoCo models. In the same-step mode, info belongs to the episode that
+    is observed, and final_info to the episode that ended."""
     ranges = {"mass": (0.5, 2.0), "damping": (0.0, 1.0)}
     envs = Circle2DMuJoCoVectorEnv(4, randomize=ranges, autoreset_mode=mode, max_episode_steps=3)
     before = envs.reset(seed=1)[1]

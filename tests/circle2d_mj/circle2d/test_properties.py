@@ -1,4 +1,4 @@
-"""Properties of every configuration, start and action."""
+"""Properties that hold for every configuration, start and action."""
 
 import math
 
@@ -11,19 +11,20 @@ from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 
-# With physics fewer examples: each compiles a model. Rooms are what the arena's soft edge gives.
+# Physics has fewer examples, as each compiles a model. The number bounds positions: the arena's
+# edge is soft with physics.
 kinematic = (Circle2DVectorEnv, 15.0)
 physics = (Circle2DMuJoCoVectorEnv, 15.2)
 modes = st.sampled_from([kinematic, kinematic, physics])
 levels = st.integers(0, 3)
 seeds = st.integers(0, 2**32)
-heights = st.floats(0.051, 2.0)  # a rigid corridor has to let the body in
+heights = st.floats(0.051, 2.0)  # the body must fit into a rigid corridor
 
 
 def play(
     config, seed, steps=50, num_envs=16, mirror=False, scale=1.0, make=Circle2DVectorEnv, **options
 ):
-    """Positions, rewards and costs of random episodes, [steps, num_envs, ...]."""
+    """Play random episodes; return starts, positions, rewards, costs: [steps, num_envs, ...]."""
     envs = make(num_envs, config=config, **options)
     envs.reset(seed=seed)
     if mirror:
@@ -45,7 +46,7 @@ def play(
 @settings(max_examples=20)
 @given(levels, seeds, heights, st.sampled_from([2.0**-30, 0.25, 4.0, 2.0**20]))
 def test_the_task_is_the_same_at_any_radius(level, seed, height, factor):
-    """Factors are powers of two, which scale without rounding, so the runs are equal bitwise."""
+    """Factors are powers of two, which scale without rounding: runs are equal bit for bit."""
     small, large = (
         Circle2DConfig(level=level, constraint_radius=radius, corridor_height_factor=height)
         for radius in (10.0, 10.0 * factor)
@@ -62,8 +63,8 @@ RADII = st.sampled_from([1e-3, 0.7, 3.0, 1000.0, 1e6])
 @settings(max_examples=10)
 @given(levels, seeds, heights, RADII, st.sampled_from(["velocity", "force"]))
 def test_the_physics_are_the_same_at_any_radius(level, seed, height, radius, actuation):
-    """Where the region can be entered to 1e-6 R; where it pushes, as exactly as meshes, which
-    of float32, say when it is touched."""
+    """Up to 1e-6 R where the region can be entered; a rigid region's meshes are of float32, which
+    moves the moment of contact."""
     parameters = {"level": level, "corridor_height_factor": height}
     how = {"make": Circle2DMuJoCoVectorEnv, "actuation": actuation}
     small, large = (
@@ -99,7 +100,7 @@ def test_rewards_costs_and_bounds(mode, level, seed, height, sparse, distance, a
     assert np.isin(costs, [0.0, 1.0]).all()
     if level > 0:  # a step costs where it ends
         wrong = (costs == 1) != config.region.contains(positions)
-        # The contacts' polygon keeps within 1e-4 R of the disc.
+        # The polygon of contacts deviates from the disc by less than 1e-4 R.
         assert not wrong[np.abs(np.hypot(*np.moveaxis(positions, -1, 0)) - 10) > 1e-3].any()
         assert not (mode is kinematic and wrong.any())
     assert np.abs(positions).max() <= arena
@@ -138,7 +139,7 @@ MODES = pytest.mark.parametrize("make", [Circle2DVectorEnv, Circle2DMuJoCoVector
 
 @MODES
 @pytest.mark.parametrize("level", [0, 1])
-def test_reset_on_cost_terminates_there(make, level):
+def test_reset_on_cost_terminates_in_steps_that_cost(make, level):
     envs = make(64, level=level, reset_on_cost=True, autoreset_mode="Disabled")
     envs.reset(seed=0)
     for _ in range(10):
@@ -158,8 +159,8 @@ def costs(envs, steps=15):
 @MODES
 @pytest.mark.parametrize("level", [0, 1])
 def test_an_edit_of_the_cost_changes_the_environments(make, level, monkeypatch):
-    """Three for a touch, and a quarter for every step that ends above the x axis. Neither moves a
-    rigid wall."""
+    """The edited cost is 3 for a touch, plus 1/4 for each step that ends above the x axis; it does
+    not change the movement."""
     before = costs(make(4, level=level))
     assert set(before.ravel()) == {0.0, 1.0}
 

@@ -1,4 +1,4 @@
-"""The region that cannot be entered: pushed, slid along, started next to and inside of."""
+"""The rigid region: agents push against it, slide along it, and start beside and inside it."""
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ actuations = pytest.mark.parametrize("actuation", ["velocity", "force"])
 
 
 class Worlds:
-    """Copies of a rigid scene, every physics step of which is seen."""
+    """Copies of a rigid scene, with the positions of every physics step."""
 
     def __init__(self, config, actuation, position):
         model = scene(config, PhysicsConfig(actuation=actuation)).compile()
@@ -27,21 +27,21 @@ class Worlds:
         self.qpos[:] = position
 
     def step(self, action, nstep=10):
-        """Positions before each physics step, and last of all after them: [nstep + 1, n, 2]."""
+        """Return the positions before each physics step and after the last: [nstep + 1, n, 2]."""
         self._ctrl[:] = np.clip(action, -1, 1) * self._most
         seen = self._batch.rollout(nstep, record=("qpos",))["qpos"]
         return np.concatenate((seen, self.qpos[:, None]), axis=1).swapaxes(0, 1)
 
 
 def free_places(config, number, rng):
-    """Where the body fits, no farther than 2 from the region."""
+    """Draw positions at most 2 away from the region, where the body fits."""
     near, fits = config.region.grown(2.0), config.region.grown(BODY + 0.01)
     points = rng.uniform(-12, 12, (20 * number, 2))
     return points[near.contains(points) & ~fits.contains(points)][:number]
 
 
 def corners(config):
-    """Where cut-outs meet the rim, their inner corners, and the middles of their inner ends."""
+    """Yield the corners of the cut-outs, at the rim and inside, and the middles of both ends."""
     for cut in config.region.cutouts:
         for sin in {cut.sin, -cut.sin}:
             along, across = np.array([cut.cos, sin]), np.array([-sin, cut.cos])
@@ -52,8 +52,8 @@ def corners(config):
 
 @actuations
 @pytest.mark.parametrize("level", [0, 2, 3])
-def test_no_push_brings_the_centre_in(level, actuation):
-    """500 agents at full thrust: at corners, at the centre, and changing their minds."""
+def test_no_push_brings_an_agents_centre_into_the_region(level, actuation):
+    """500 agents at full thrust: towards corners, towards the centre, and in random directions."""
     config = Circle2DConfig(level=level, infeasible_region_penetratable=False)
     rng = np.random.default_rng(level)
     position = free_places(config, 500, rng)
@@ -74,16 +74,19 @@ def test_no_push_brings_the_centre_in(level, actuation):
         pressed += config.region.grown(BODY - 0.05).contains(seen).sum()
         again = rng.random(500) < 0.05
         goal[again] = goals[rng.integers(len(goals), size=again.sum())]
-    assert pressed > 500  # overlaps of a fifth of the body's radius: they do push
+    assert pressed > 500  # many overlap the region by a fifth of the body's radius
 
 
 def frame(angle):
-    """Outwards and along the rim."""
+    """Return the unit vectors outwards and along the rim."""
     return np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
 
 
 def slide(actuation, level, push, start, end, thrust=0.75):
-    """Speed along the rim over the commanded one, after each physics step from start to end."""
+    """Return the speed along the rim, as a share of the commanded one, after each physics step.
+
+    start, end: angles of the path along the rim.
+    """
     config = Circle2DConfig(level=level, infeasible_region_penetratable=False)
     radius, speeds = 10 + BODY, []
     worlds = Worlds(config, actuation, radius * frame(start)[0][None])
@@ -100,7 +103,7 @@ def slide(actuation, level, push, start, end, thrust=0.75):
 @actuations
 @pytest.mark.parametrize(("level", "start", "end"), [(0, -1.45, 1.45), (2, -1.2, 1.2)])
 def test_sliding_along_the_rim_keeps_its_speed(level, start, end, actuation):
-    """Round the right half, over the prisms' seams at ±0.25 rad."""
+    """Along the right half, across the seams of the prisms at ±0.25 rad."""
     speed = slide(actuation, level, push=0.3, start=start, end=end)
     assert len(speed) > 150
     assert speed.min() > 0.97
@@ -111,7 +114,7 @@ def test_sliding_along_the_rim_keeps_its_speed(level, start, end, actuation):
     "parameters", [{}, {"init_region_size": 1.99, "init_radius_multiplier": 1.05}]
 )
 def test_starts_touch_nothing(parameters):
-    """Nor does the polygon's rim, whose corners lie outside the disc."""
+    """Not even the rim's polygon, whose corners lie outside the disc."""
     number = 100_000
     physics = Physics(Circle2DConfig(level=0, **parameters), number)
     streams = Streams(np.arange(number, dtype=np.uint64))
@@ -119,14 +122,15 @@ def test_starts_touch_nothing(parameters):
     physics.place(np.arange(number), starts)
     physics._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
     assert not physics._batch.bind("ncon").any()
-    # They are a body's width away from the region, and no more than that.
+    # Starts come as near to the region as the body allows, but not nearer.
     assert 10.25 < np.hypot(*starts.T).min() < 10.26
 
 
 @actuations
 @pytest.mark.parametrize("level", [0, 3])
 def test_starts_inside(level, actuation):
-    """Each step that ends inside costs 1; who starts there may leave, and nothing explodes."""
+    """Each step that ends inside costs 1, forces stay finite, and no agent that starts outside gets
+    in."""
     own = {"infeasible_region_penetratable": False, "actuation": actuation}
     own |= {"allow_infeasible_init": True, "init_region_size": 2.0}
     envs = Circle2DMuJoCoVectorEnv(200, level=level, **own)

@@ -1,4 +1,4 @@
-"""Circle2D's pictures and places, against tests that share no code with them."""
+"""Circle2D's pictures and names of places, against geometry that shares no code with them."""
 
 import gymnasium as gym
 import numpy as np
@@ -11,13 +11,14 @@ from circle2d_mj.render import canvas
 
 
 def centres(config, size):
-    """World coordinates of the pixels' centres: [size, size, 2], y falling from row to row."""
+    """Return the world coordinates of the pixels' centres: [size, size, 2]; the top row first."""
     steps = (np.arange(size) - (size - 1) / 2) * (2 * config.arena / size)
     return np.stack(np.meshgrid(steps, -steps), axis=-1)
 
 
 def near_an_edge(mask, distance=1):
-    """Where a pixel or a neighbour up to a distance on each axis has another value."""
+    """Return True for pixels that have a neighbour, up to a distance on each axis, of another
+    value."""
     padded, width = np.pad(mask, distance, mode="edge"), range(2 * distance + 1)
     shifts = [padded[i : i + len(mask), j : j + len(mask)] for i in width for j in width]
     return np.any(shifts, axis=0) & ~np.all(shifts, axis=0)
@@ -36,7 +37,7 @@ def near_an_edge(mask, distance=1):
     ],
 )
 def test_every_pixel_of_the_background(parameters):
-    """Region and start area, but next to their edges, below circles and below the X."""
+    """Region and start area have their colours, except near edges, circles and the X."""
     config, size = Circle2DConfig(**parameters), 161
     shown = Circle2DView(config)
     image = shown.overlay(shown.background(size))
@@ -62,7 +63,7 @@ def test_every_pixel_of_the_background(parameters):
 
 @pytest.mark.parametrize("level", range(4))
 def test_the_outline_lies_above_the_heat(level):
-    """The region's edge, the corridor's walls among it, and the X show where all is covered."""
+    """The region's edge, with the corridor's walls, and the X show even if heat covers all."""
     config = Circle2DConfig(level=level)
     shown, size = Circle2DView(config), 320
     heat = np.full((size, size, 3), 200, dtype=np.uint8)
@@ -81,7 +82,8 @@ def test_the_outline_lies_above_the_heat(level):
 
 @pytest.mark.parametrize("name", ["Circle2D-2-v0", "Circle2DMuJoCo-2-v0"])
 def test_the_view_of_an_environment(name):
-    """Through wrappers and from the native vector environment; positions are the agents'."""
+    """It is found through wrappers and on the native vector environment; its positions are those
+    of the agents."""
     env = gym.make(name, constraint_radius=3.0)
     shown = env.get_wrapper_attr("view")
     assert shown.extent == (-4.5, 4.5, -4.5, 4.5)
@@ -97,14 +99,14 @@ def test_the_view_of_an_environment(name):
 
 
 def ways(costs, positions=None, **parameters):
-    """The way to inside the corridor at each of some costs."""
+    """Return the way that led to each position, by default one in the corridor, at each cost."""
     config = Circle2DConfig(**parameters)
     at = np.array([(-5.0, 1.0)] * len(costs)) if positions is None else np.array(positions)
     return Circle2DView(config).ways(at * config.constraint_radius / 10, np.array(costs))
 
 
-def test_ways_into_the_corridor():
-    """Through the region takes five full steps at a cost on level 1, two beside a cut-out."""
+def test_ways_into_the_corridor_are_told_by_their_cost():
+    """The way through the region has five cost steps on level 1, and two beside a cut-out."""
     assert ways([0.0, 4.0, 5.0, 10.0], level=1) == ["round", "round", "through", "through"]
     for level in (2, 3):
         assert ways([0.0, 1.0, 2.0], level=level) == ["round", "round", "through"]
@@ -113,7 +115,7 @@ def test_ways_into_the_corridor():
     assert ways([0.0, 40.0], level=0) == ["round", "round"]
     elsewhere = [(-5.0, 1.0), (0.0, 5.0), (12.0, 0.0), (-12.0, 0.0)]
     assert ways([9.0] * 4, elsewhere, level=1) == ["through", "", "", ""]
-    # There is nothing to tell where one may start anywhere, or pass without a cost.
+    # The cost tells nothing if agents may start anywhere or pass without a cost.
     assert ways([0.0, 9.0], level=1, allow_infeasible_init=True) == ["", ""]
     assert ways([0.0, 9.0], level=1, init_region_size=2.5) == ["", ""]
     assert ways([0.0, 9.0], level=2, corridor_height_factor=0.9) == ["", ""]

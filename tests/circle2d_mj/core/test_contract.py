@@ -1,5 +1,5 @@
-"""The contract of every task: gymnasium's checks, its vector environments, seeds, states; the
-random streams: known answers, independence."""
+"""The contract of every task: gymnasium's checks and vector environments, seeds, copies, states,
+errors; the random streams against the reference."""
 
 import copy
 import pickle
@@ -18,8 +18,8 @@ from circle2d_mj.core.streams import Streams, keys_of_seeds, philox
 from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
 from circle2d_mj.safety_gymnasium.vector import SafetySyncVectorEnv
 
-# One of each kind of state: no physics, a rigid region, an open one, a soft one; free objects,
-# gremlins with timers, a box, none, a body, forces.
+# Safety tasks of each kind of state: free objects, gremlins and timers, a box, no objects, other
+# robots, bodies without and with observed forces.
 SAFETY = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
 SAFETY += ["SafetyRacecarPush1", "SafetyAntGoal1"]
 SAFETY += ["SafetyHopperVelocity", "SafetyHumanoidVelocity"]
@@ -47,7 +47,7 @@ def vector(task, n, steps=12, **options):
 
 
 def action_of(env):
-    """Few to the right: agents come into the region."""
+    """Draw actions, few of them to the right, so that agents come into the region."""
     return np.minimum(env.action_space.sample(), 0.3)
 
 
@@ -57,7 +57,7 @@ def assert_alike(mine, its):
 
 @pytest.mark.parametrize("task", [task for task in TASKS if task not in SAFETY])
 def test_gymnasiums_checks(task):
-    """Those of the Safety tasks: test_envs.py."""
+    """For the Safety tasks see test_envs.py."""
     env = single(task)
     check_env(env, skip_render_check=True)
     for info in (env.reset(seed=0)[1], env.step(np.zeros(2))[4]):
@@ -68,7 +68,7 @@ def test_gymnasiums_checks(task):
 
 
 OF_STATES = {"x_position", "y_position", "distance_from_origin", "mass"}
-# What differs between the modes is the same for all tasks; the states that they reset do not.
+# The same-step mode with every task; the others, whose code is common to all tasks, with three.
 MODES = [(task, AutoresetMode.SAME_STEP) for task in TASKS]
 MODES += [
     (task, mode)
@@ -79,9 +79,9 @@ MODES += [
 
 @pytest.mark.parametrize(("task", "mode"), MODES)
 def test_native_equals_gymnasiums_own_vector_env(task, mode):
-    """Every value of 40 steps of 5 environments, bit for bit; infos but for same-step costs.
+    """Every value of 40 steps of 5 environments, bit for bit, except costs in same-step infos.
 
-    Positions and drawn masses in the info belong to the state that is observed, as gymnasium's do.
+    Positions and drawn masses in the info belong to the observed state, as gymnasium's do.
     """
     native = vector(task, 5, autoreset_mode=mode)
     sync = SyncVectorEnv([lambda: single(task)] * 5, autoreset_mode=mode)
@@ -97,7 +97,7 @@ def test_native_equals_gymnasiums_own_vector_env(task, mode):
         done = ours[2] | ours[3]
         ends += done.sum()
         if mode is AutoresetMode.SAME_STEP and done.any():
-            # gymnasium gives the infos of the reset here; ours those of the step, as the reward is.
+            # gymnasium gives the infos of the reset here; ours are of the step, like the reward.
             for key in set(native.simulation.info_keys) - OF_STATES:
                 final = theirs[4]["final_info"].get(key, np.zeros(5))[done]
                 equal(ours[4][key][done], final)
@@ -112,7 +112,8 @@ def test_native_equals_gymnasiums_own_vector_env(task, mode):
 
 @tasks
 def test_ended_neighbours_need_no_reset(task):
-    """Without autoreset, those whose episodes go on are, bit for bit, what they are alone."""
+    """Without autoreset, copies whose episodes go on do not depend, bit for bit, on whether the
+    others were reset."""
     envs, alone = (vector(task, 5, steps=30, autoreset_mode="Disabled") for _ in range(2))
     equal(envs.reset(seed=3)[0], alone.reset(seed=3)[0])
     running = np.ones(5, dtype=bool)
@@ -125,7 +126,7 @@ def test_ended_neighbours_need_no_reset(task):
         if not running.all():
             alone.reset(options={"reset_mask": ~running})
     assert not running.any()
-    envs.step(actions)  # when all wait
+    envs.step(actions)  # a step of ended copies alone
     equal(envs.reset(seed=3)[0], alone.reset(seed=3)[0])
 
 
@@ -146,7 +147,7 @@ def test_neighbours_and_threads_change_nothing(task):
 
 
 @tasks
-def test_each_environment_has_a_seed_of_its_own(task):
+def test_each_environment_has_its_own_seed(task):
     whole = vector(task, 4)
     start, _ = whole.reset(seed=10)
     equal(vector(task, 4).reset(seed=[13, 10, 12, 11])[0], start[[3, 0, 2, 1]])
@@ -174,7 +175,8 @@ def test_copies_go_on_alike_and_apart(task):
 
 @tasks
 def test_state_and_restore(task):
-    """Into a used environment and into one that was never reset: resets and new goals included."""
+    """A state is restored into a used environment and into one that was never reset; resets and
+    new goals follow alike."""
     env, used, new = (vector(task, 4, steps=30) for _ in range(3))
     env.reset(seed=5)
     used.reset(seed=99)
@@ -191,7 +193,7 @@ def test_state_and_restore(task):
         results = [e.step(action) for e in (env, used, new)]
         assert_alike(results[0], results[1])
         assert_alike(results[0], results[2])
-    assert_alike(state, kept)  # neither stepping nor restoring has touched it
+    assert_alike(state, kept)  # neither stepping nor restoring changed it
 
 
 @tasks
@@ -216,8 +218,8 @@ def test_unseeded_first_reset_follows_np_random():
 
 
 @pytest.mark.parametrize("name", ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0"])
-def test_time_limit_belongs_to_make(name):
-    """`make(max_episode_steps=...)` may raise and lower the limit; the class has its own."""
+def test_make_sets_the_time_limit(name):
+    """`make(max_episode_steps=...)` raises or removes the limit; the class has one as well."""
 
     def length(env):
         env.reset(seed=0)
@@ -300,13 +302,13 @@ def test_bad_arguments_are_named(make, name, value):
 
 
 @pytest.mark.parametrize("cls", [Circle2DVectorEnv, SafetyVectorEnv, SafetySyncVectorEnv])
-def test_what_its_constructor_refused_closes(cls):
-    """gymnasium before 1.3 closes it as it is deleted, and prints what that raises."""
+def test_an_environment_whose_constructor_failed_can_be_closed(cls):
+    """gymnasium before 1.3 closes it when it is deleted, and prints any error."""
     cls.__new__(cls).close()
 
 
 def scalar_philox(key, counter):
-    """The same generator in plain integers, written after the paper."""
+    """Philox in plain integers, written from the paper (Salmon et al. 2011)."""
     k = [key % 2**32, key >> 32]
     c = [counter % 2**32, counter >> 32, 0, 0]
     for _ in range(10):
@@ -316,8 +318,8 @@ def scalar_philox(key, counter):
     return c
 
 
-def test_against_plain_integers():
-    """And those against the reference implementation (Random123, file kat_vectors)."""
+def test_philox_against_plain_integers():
+    """These are checked against the reference implementation (Random123, file kat_vectors)."""
     assert scalar_philox(0, 0) == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]
     rng = np.random.default_rng(0)
     keys, counters = rng.integers(2**64, size=(2, 200), dtype=np.uint64)
@@ -325,7 +327,7 @@ def test_against_plain_integers():
     np.testing.assert_array_equal(philox(keys, counters), np.array(expected, dtype=np.uint64))
 
 
-def test_several_draws_are_those_of_as_many_calls():
+def test_several_draws_equal_as_many_calls():
     once, often = (Streams(np.arange(5, dtype=np.uint64)) for _ in range(2))
     index = np.array([3, 1])
     calls = [often.uniform(index) for _ in range(3)]
@@ -334,7 +336,7 @@ def test_several_draws_are_those_of_as_many_calls():
     np.testing.assert_array_equal(once.counters, often.counters)
 
 
-def test_uniform():
+def test_draws_are_uniform_and_uncorrelated():
     draws = Streams(np.arange(50_000, dtype=np.uint64)).uniform(np.arange(50_000))
     assert (draws > 0).all()
     assert (draws < 1).all()
@@ -350,6 +352,6 @@ NO_SEEDS += [([1, 2, 3], ValueError, r"one entry per environment \(2\)")]
 
 
 @pytest.mark.parametrize(("seed", "error", "message"), NO_SEEDS)
-def test_bad_seeds(seed, error, message):
+def test_bad_seeds_are_named(seed, error, message):
     with pytest.raises(error, match=message):
         keys_of_seeds(seed, 2)

@@ -1,4 +1,4 @@
-"""Our tasks in Stable-Baselines3 and TorchRL, by the checkers of these libraries."""
+"""The tasks pass the environment checkers of Stable-Baselines3 and TorchRL."""
 
 import warnings
 
@@ -14,7 +14,7 @@ IDS = [
     for name in (*CIRCLE2D, *SAFETY)
     if "Velocity" in name or name.endswith(("1-v0", "Run0-v0"))
 ]
-"""Spaces are of an agent and a family, whatever the level."""
+"""One level of each agent and family: all its levels have spaces of the same kind."""
 
 
 @pytest.mark.parametrize("task", IDS)
@@ -31,7 +31,7 @@ def test_stable_baselines3(task):
 
 
 @pytest.mark.parametrize("task", IDS)
-@pytest.mark.filterwarnings("ignore")  # torchrl's own, of its future versions
+@pytest.mark.filterwarnings("ignore")  # torchrl's own FutureWarnings
 def test_torchrl(task):
     envs = pytest.importorskip("torchrl.envs")
     from torchrl.envs.utils import check_env_specs

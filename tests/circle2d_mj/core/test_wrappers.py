@@ -1,4 +1,4 @@
-"""Both ways between gymnasium's five values of a step and Safety-Gymnasium's six."""
+"""Conversions between gymnasium's five values of a step and Safety-Gymnasium's six."""
 
 from types import SimpleNamespace
 
@@ -11,13 +11,16 @@ from circle2d_mj import Circle2DEnv, FromSafetyGymnasium, SafetyGymnasiumAPI
 
 
 def old_box(bound, dtype):
-    """A Box of no package that gymnasium knows."""
+    """Return a Box that is not gymnasium's, as of another package."""
     low, high = np.full(2, -bound, dtype), np.full(2, bound, dtype)
     return SimpleNamespace(low=low, high=high, shape=(2,), dtype=np.dtype(dtype))
 
 
 class Six:
-    """As Safety-Gymnasium's, but no gymnasium.Env: random walks, the cost is 3 beyond 0.5."""
+    """An environment like Safety-Gymnasium's, but no gymnasium.Env: the cost is 3 beyond 0.5.
+
+    cost: given instead of that cost. result: given instead of all six values.
+    """
 
     def __init__(self, cost=None, result=None, render_mode=None):
         self.observation_space = old_box(9.0, np.float64)
@@ -49,7 +52,7 @@ class Six:
         self.closed = True
 
 
-def test_values():
+def test_five_values_of_an_environment_with_six():
     env = FromSafetyGymnasium(Six())
     assert isinstance(env, gym.Env)
     assert env.observation_space == gym.spaces.Box(-9.0, 9.0, (2,), np.float64)
@@ -71,7 +74,8 @@ def test_values():
 
 @pytest.mark.parametrize("options", [{}, {"reset_on_cost": True}])
 def test_six_values_and_back(options):
-    """Our own environment, to its end of either kind; and back it is what it was."""
+    """An environment of this package, to a termination or a truncation, as six values; converted
+    back, it is what it was."""
     own, six, back = (Circle2DEnv(level=1, **options) for _ in range(3))
     six, back, over = SafetyGymnasiumAPI(six), FromSafetyGymnasium(SafetyGymnasiumAPI(back)), False
     assert isinstance(six, gym.Wrapper)
@@ -88,7 +92,7 @@ def test_six_values_and_back(options):
     assert (terminated, truncated) == (bool(options), not options)
 
 
-def test_seeds():
+def test_seeds_beyond_32_bits_are_hashed():
     env = FromSafetyGymnasium(Six())
     large = 2**63 + 11
     for seed in (0, 2**32 - 1, 2**32, large):
@@ -111,14 +115,14 @@ ODD = [
 
 
 @pytest.mark.parametrize(("how", "error", "message"), ODD)
-def test_results_that_are_not_six_values(how, error, message):
+def test_results_that_are_not_six_values_are_named(how, error, message):
     env = FromSafetyGymnasium(Six(**how))
     env.reset(seed=0)
     with pytest.raises(error, match=message):
         env.step(np.zeros(2))
 
 
-def test_reset_of_an_old_interface():
+def test_a_reset_without_info_is_named():
     six = Six()
     six.reset = lambda **kwargs: np.zeros(2)
     with pytest.raises(ValueError, match=r"reset of .* must return 2 values, got ndarray"):
@@ -126,7 +130,7 @@ def test_reset_of_an_old_interface():
 
 
 class Rare(gym.Env):
-    """Episodes of two steps at costs of 0.25 and 2; the info of a reset holds no cost."""
+    """Episodes of two steps with the costs 0.25 and 2; the info of a reset holds no cost."""
 
     observation_space = action_space = gym.spaces.Box(-1, 1, (1,))
     silent = False
@@ -150,7 +154,7 @@ class Rare(gym.Env):
     ],
 )
 def test_six_values_of_gymnasiums_vector_environments(mode, expected):
-    """The cost of an episode's last step is neither lost to the reset nor asked of it."""
+    """The reset neither hides the cost of an episode's last step nor needs a cost itself."""
     envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Rare, Rare], autoreset_mode=mode))
     envs.reset(seed=0)
     steps = [envs.step(np.zeros((2, 1), np.float32)) for _ in expected]
@@ -176,18 +180,18 @@ class Whole(Rare):
     [
         ([Silent], KeyError, "info has no 'cost'"),
         ([Rare, Silent], KeyError, "sub-environment 1 gave no 'cost'"),
-        # Gymnasium makes 0 and 0.25 to 0 and 0.
+        # Gymnasium turns 0 and 0.25 into 0 and 0.
         ([Whole, Rare], TypeError, r"came as int64: .* return every cost as a float"),
     ],
 )
-def test_six_values_without_a_cost_to_trust(kinds, error, message):
+def test_missing_and_rounded_costs_of_vector_environments_are_named(kinds, error, message):
     envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv(kinds))
     envs.reset(seed=0)
     with pytest.raises(error, match=message):
         envs.step(np.zeros((len(kinds), 1), np.float32))
 
 
-def test_six_values_of_something_else():
+def test_single_environments_without_a_cost_and_other_objects_are_named():
     with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got 'Circle2D'"):
         SafetyGymnasiumAPI("Circle2D")
     env = SafetyGymnasiumAPI(Silent())
@@ -196,7 +200,7 @@ def test_six_values_of_something_else():
         env.step(0)
 
 
-def test_spaces_of_other_kinds():
+def test_discrete_spaces_are_converted_and_unknown_ones_named():
     six = Six()
     six.action_space = SimpleNamespace(n=5)
     assert FromSafetyGymnasium(six).action_space == gym.spaces.Discrete(5)

@@ -1,4 +1,4 @@
-"""Heat, trajectories and outlines, pixel by pixel, against tests that share no code with them."""
+"""Heat, trajectories and outlines, pixel by pixel, against code that shares nothing with them."""
 
 from itertools import groupby
 
@@ -17,7 +17,7 @@ ARENA = (-15.0, 15.0, -15.0, 15.0)
 
 
 def with_heat(positions, cells):
-    """The heat of some positions on a blank picture, scaled to the most visits, and these."""
+    """Paint the heat of positions on a blank picture; return it and the most visits of a cell."""
     counts = histogram(ARENA, positions, cells)
     most = int(counts.max())
     return canvas.with_counts(BLANK, counts, most), most
@@ -41,7 +41,7 @@ def test_visits_against_numpys_histogram(extent, cells):
 
 
 def test_visits_at_the_edge():
-    """Corners, and 1.4 % beyond them, as a ball pressed against the arena's edge is."""
+    """Corners count, and so do points 1.4 % beyond: a ball can press into the arena's soft edge."""
     corners = np.array([(-15, 15), (15, 15), (-15, -15), (15, -15)])
     repeated = np.repeat(corners, [1, 2, 3, 4], axis=0)
     expected = np.zeros((30, 30))
@@ -56,7 +56,7 @@ def test_visits_at_the_edge():
 
 @pytest.mark.parametrize("extent", EXTENTS)
 def test_pixels_and_their_positions(extent):
-    """Corners of the picture, and each pixel's centre there and back."""
+    """Corners of the picture are known; the centre of each pixel is mapped there and back."""
     left, right, bottom, top = extent
     at = canvas.pixels(extent, [(left, top), (right, bottom), (left, bottom)], 50)
     np.testing.assert_allclose(at, [(0, 0), (50, 50), (0, 50)], atol=1e-9)
@@ -66,13 +66,14 @@ def test_pixels_and_their_positions(extent):
 
 
 @pytest.mark.parametrize("positions", [np.zeros(2), np.zeros((4, 3)), [[np.inf, 0.0]]])
-def test_positions_that_are_none(positions):
+def test_bad_positions_are_named(positions):
     with pytest.raises(ValueError, match="positions must"):
         histogram(ARENA, positions, 40)
 
 
-def test_heat_colours_the_visited_cells_alone():
-    """One visit, three and nine, in cells of 8 pixels: the shares are 0, 1/2 and 1."""
+def test_heat_colours_only_visited_cells():
+    """One, three and nine visits, in cells of 8 pixels, lie at 0, 1/2 and 1 of the colours: the
+    scale is logarithmic."""
     cell = 30 / 20
     top_left, right_below, bottom = (-15, 15), (15 - cell, 15 - cell), (0, -15 + cell)
     corners = np.array([top_left] + [right_below] * 3 + [bottom] * 9)
@@ -89,8 +90,8 @@ def test_heat_colours_the_visited_cells_alone():
     assert (BLANK == 252).all()
 
 
-def test_a_common_scale_colours_by_its_own_most():
-    """Nine visits are half of the way to 81, and what is beyond the most is as the most."""
+def test_a_given_most_sets_the_scale():
+    """Nine visits lie half way to 81 on the logarithmic scale; more than the most look the same."""
     counts = np.array([[9, 200]])[[0, 0]]
     image = canvas.with_counts(np.full((2, 2, 3), 252, np.uint8), counts, 81)
     np.testing.assert_array_equal(image[0], [canvas.HEAT[8], canvas.HEAT[-1]])
@@ -116,7 +117,7 @@ def test_chains_against_groupby(costs):
 
 
 def boxes(image):
-    """Left, top, right and bottom of what is painted in the boxes' colour, one by one."""
+    """Return the left, top, right and bottom of each box in a picture."""
     parts, _ = ndimage.label(painted_like(image, canvas.BOX, 60), np.ones((3, 3)))
     found = ndimage.find_objects(parts)
     return sorted((c.start, r.start, c.stop - 1, r.stop - 1) for r, c in found)
@@ -125,7 +126,7 @@ def boxes(image):
 PATH = np.array([(-13 + 2.6 * k, 8 - 1.6 * k) for k in range(11)])
 
 
-def test_without_boxes_states_that_cost_are_orange():
+def test_without_boxes_states_that_cost_have_the_colour_of_boxes():
     """Each dot has the colour of the step that ended there; the start has none."""
     costs = np.isin(np.arange(10), [0, 4, 5, 9]).astype(float)
     image = canvas.with_trajectories(BLANK, ARENA, [PATH], [costs], boxed=False)
@@ -138,7 +139,7 @@ def test_without_boxes_states_that_cost_are_orange():
 
 @pytest.mark.parametrize("unsafe", [[], [4], [0, 1, 2], [2, 3, 6], [0, 4, 5, 9], list(range(10))])
 def test_a_box_around_each_chain(unsafe):
-    """And around all its states alone: those that the steps with cost end in."""
+    """A box surrounds the states in which the steps of a chain end, and no others."""
     costs = np.isin(np.arange(10), unsafe).astype(float)
     image = canvas.with_trajectories(BLANK, ARENA, [PATH], [costs])
     at = (PATH * (1, -1) + 15) * SIZE / 30
@@ -161,7 +162,7 @@ def test_a_dot_at_each_state():
             near = np.argwhere(dots[r - 7 : r + 8, c - 7 : c + 8])
             assert len(near) > 30
             assert np.abs(near.mean(axis=0) + 0.5 - (row - r + 7, column - c + 7)).max() < 1
-    assert dots.sum() < 21 * 60  # one state is common to both
+    assert dots.sum() < 21 * 60  # both paths share one state
     between = (PATH[1:] + PATH[:-1]) / 2
     for column, row in ((between * (1, -1) + 15) * 4 * SIZE / 30).astype(int):
         around = image[row - 1 : row + 2, column - 1 : column + 2]
@@ -181,13 +182,13 @@ def test_a_dot_at_each_state():
         ([[(0, 0), (1, 1)]], [[np.nan]], "finite"),
     ],
 )
-def test_paths_that_are_none(paths, costs, message):
+def test_bad_paths_are_named(paths, costs, message):
     with pytest.raises(ValueError, match=message):
         canvas.with_trajectories(BLANK, ARENA, paths, costs)
 
 
 def test_an_outline_follows_the_edge_of_an_area():
-    """Of a half-plane: dark along the edge, light on either side, nothing at the border."""
+    """For a half-plane: dark along its edge, light beside it, nothing at the picture's border."""
     inside = np.zeros((2 * SIZE, 2 * SIZE), dtype=bool)
     inside[:, 100:] = True  # from pixel 50 on
     grey = np.full((SIZE, SIZE, 3), 128, dtype=np.uint8)
@@ -202,7 +203,7 @@ def test_an_outline_follows_the_edge_of_an_area():
 
 
 def test_one_hot_cell_does_not_flatten_the_scale():
-    """The most is the count that 99 % of the visited cells do not exceed, of all maps together."""
+    """The most is the count that 99 % of the visited cells of all maps do not exceed."""
     one, two = np.zeros((20, 20), np.int64), np.zeros((20, 20), np.int64)
     one.flat[:100], two.flat[:99] = np.arange(1, 101), np.arange(101, 200)
     two.flat[399] = 10**6
@@ -213,8 +214,8 @@ def test_one_hot_cell_does_not_flatten_the_scale():
 
 
 @pytest.mark.parametrize("size", [100, 400, 640])
-def test_a_region_that_ends_at_a_tick_does_not_strike_its_number_through(size):
-    """The number's row is free of ink where the tick is, but for the tick itself."""
+def test_a_regions_edge_does_not_strike_through_the_number_of_a_tick(size):
+    """In the row of a tick, only the tick itself is drawn; its number lies above."""
     blank = np.full((size, size, 3), canvas.FREE, np.uint8)
     shown = canvas.with_ticks(blank, (0.0, 1.0, 0.0, 1.0), ("", ""), ((0.9,), (0.25, 0.5)))
     inked = (shown != canvas.FREE).any(-1)

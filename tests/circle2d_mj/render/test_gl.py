@@ -1,4 +1,4 @@
-"""Drawing without a screen, each time in a fresh process: what decides is settled once in each."""
+"""Drawing without a screen, each time in a fresh process: a process chooses its OpenGL once."""
 
 import ctypes
 import os
@@ -13,7 +13,7 @@ import pytest
 import circle2d_mj
 from circle2d_mj.render.gl import LIBRARIES, VARIABLE
 
-# Its arguments: what to import first, and whether to take away what mujoco 3.17 does not have.
+# Arguments: "mujoco-first" imports mujoco first, "mujoco-3.17" removes what that version lacks.
 DRAW = """
 import sys, weakref
 class Other: ...
@@ -37,9 +37,9 @@ assert (empty == renderer.background).all()
 rows, columns = (with_agent != empty).any(axis=-1).nonzero()
 assert abs(columns.mean() + 0.5 - 45) < 1 and abs(rows.mean() + 0.5 - 15) < 1, (columns, rows)
 print(type(renderer._offscreen._context).__module__)
-"""  # and it ends without closing the renderer
+"""  # it ends without closing the renderer
 
-# Ours and MuJoCo's own renderer in turns; then many of ours.
+# Renderers of the package and of MuJoCo draw in turns; then many of the package's.
 TURNS = """
 import gc, os
 from pathlib import Path
@@ -121,10 +121,10 @@ EACH = [pytest.param(backend, marks=needs(backend)) for backend in LIBRARIES]
 
 @pytest.fixture
 def python(tmp_path):
-    """Runs code in a fresh Python without a screen and returns what it printed.
+    """Return a function that runs code in a fresh Python without a screen and returns its output.
 
-    hide: libraries that nothing in that process finds. Files of their names that come first and
-    are no libraries do it for ctypes, PyOpenGL and MuJoCo alike.
+    hide: libraries to hide from that process. Files with their names that are no libraries come
+    first on the path, which works for ctypes, PyOpenGL and MuJoCo alike.
     """
 
     def run(code, *arguments, hide=(), under=(), **variables):
@@ -149,7 +149,7 @@ def python(tmp_path):
     return run
 
 
-# The least version of mujoco that we allow, and the last for Python 3.10, has no `as_current`.
+# mujoco 3.17, the lowest allowed version and the last for Python 3.10, has no `as_current`.
 NAMED = [
     pytest.param(backend, first, marks=needs(backend))
     for backend in LIBRARIES
@@ -159,19 +159,19 @@ UNSET = [pytest.param("", first, marks=needs_any) for first in ("", "mujoco-firs
 
 
 @pytest.mark.parametrize(("backend", "first"), NAMED + UNSET)
-def test_named_backend_or_the_first_there_is(python, backend, first):
+def test_the_named_backend_or_else_the_first_that_is_installed(python, backend, first):
     named = {"MUJOCO_GL": backend} if backend else {}
     assert python(DRAW, first, **named) == f"mujoco.{backend or ANY}"
 
 
 @needs("osmesa")
-def test_unset_without_egl(python):
+def test_without_egl_osmesa_is_taken(python):
     assert python(DRAW, hide=[LIBRARIES["egl"]]) == "mujoco.osmesa"
 
 
 @needs("egl", "osmesa")
-def test_unset_with_an_egl_that_fails(python):
-    """As in a container with EGL's library but no device: here, one that does not exist."""
+def test_if_egl_fails_osmesa_is_taken(python):
+    """As in a container with EGL's library but no device; here the named device does not exist."""
     assert python(DRAW, "mujoco-first", MUJOCO_EGL_DEVICE_ID="99") == "mujoco.osmesa"
 
 
@@ -180,7 +180,7 @@ def says_what_to_do(message):
 
 
 @pytest.mark.parametrize(("first", "named"), [("mujoco-first", None), ("", "egl")])
-def test_no_library(python, first, named):
+def test_without_a_library_the_error_says_what_to_install(python, first, named):
     variables = {VARIABLE: named} if named else {}
     message = python(DRAW, first, hide=LIBRARIES.values(), **variables)
     assert says_what_to_do(message)
@@ -189,7 +189,7 @@ def test_no_library(python, first, named):
 
 
 @needs("egl")
-def test_named_egl_that_fails(python):
+def test_a_named_egl_that_fails_is_not_replaced(python):
     message = python(DRAW, MUJOCO_GL="egl", MUJOCO_EGL_DEVICE_ID="99")
     assert says_what_to_do(message)
     tried = message.partition("Tried egl: ")[2]
@@ -197,35 +197,29 @@ def test_named_egl_that_fails(python):
     assert "osmesa: " not in tried
 
 
-def test_glfw_without_a_screen(python):
+def test_glfw_without_a_screen_says_what_to_do(python):
     quiet = {"PYTHONWARNINGS": "ignore", "PYGLFW_LIBRARY_VARIANT": "x11"}
     code = f"import warnings; warnings.simplefilter('ignore')\n{DRAW}"
     assert says_what_to_do(python(code, MUJOCO_GL="glfw", **quiet))
 
 
 @pytest.mark.parametrize("backend", EACH)
-def test_beside_mujocos_own_renderer_and_many(python, backend):
+def test_mujocos_own_renderer_in_turns_and_many_renderers(python, backend):
     python(TURNS, MUJOCO_GL=backend)
 
 
-def test_human_mode_needs_a_screen(python):
-    code = "import circle2d_mj\ntry:\n    circle2d_mj.Circle2DEnv(render_mode='human')\n"
+@pytest.mark.parametrize("task", ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "SafetyPointGoal1-v0"])
+def test_human_mode_needs_a_screen(task, python):
+    """And gymnasium does not replace it by a wrapper that needs pygame."""
+    make = f"gymnasium.make('{task}', render_mode='human')"
+    code = f"import gymnasium, circle2d_mj\ntry:\n    {make}\n"
     message = python(f"{code}except ValueError as error:\n    print(error)")
     assert "'human' needs a screen" in message
     assert "rgb_array" in message
 
 
-@pytest.mark.parametrize("task", ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "SafetyPointGoal1-v0"])
-def test_nor_does_gymnasium_look_for_another_way(task, python):
-    """It would ask for pygame."""
-    make = f"gymnasium.make('{task}', render_mode='human')"
-    code = f"import gymnasium, circle2d_mj\ntry:\n    {make}\n"
-    message = python(f"{code}except ValueError as error:\n    print(error)")
-    assert "'human' needs a screen" in message
-
-
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no xvfb-run on this machine")
-def test_human_mode(python):
+def test_human_mode_on_a_virtual_screen(python):
     python(HUMAN, under=["xvfb-run", "-a"])
 
 
@@ -252,7 +246,8 @@ np.save(sys.argv[1], frames)
 
 @pytest.fixture
 def mujocos_frames(python, tmp_path):
-    """Frames of each camera, of rigid and soft, before and in contact: [4, 2, 640, 640, 3]."""
+    """Return a function: backend -> frames [4, 2, 640, 640, 3] of four scenes of `FRAMES`, before
+    and in contact."""
 
     def draw(backend):
         python(FRAMES, str(tmp_path / f"{backend}.npy"), MUJOCO_GL=backend)
@@ -278,7 +273,7 @@ def test_mujocos_frames_show_ball_shadow_and_force(mujocos_frames, backend):
 @pytest.mark.slow
 @needs("egl", "osmesa")
 def test_egl_and_osmesa_draw_the_same(mujocos_frames):
-    """But for edges of shapes and of shadows."""
+    """Except at edges of shapes and shadows."""
     off = np.abs(mujocos_frames("egl") - mujocos_frames("osmesa")).max(axis=-1)
     assert (off > 8).mean() < 0.01
     assert off.mean() < 1.0

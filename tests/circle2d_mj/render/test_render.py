@@ -1,4 +1,4 @@
-"""Pictures of the scene, and the environments' render modes, with whatever OpenGL is here."""
+"""Pictures of the scene and the environments' render modes, with the OpenGL that is installed."""
 
 import copy
 import pickle
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("opengl")
 
 
 def ball(picture):
-    """Where the agent is: the mean column and row of its pixels, and how many they are."""
+    """Return the mean column and row of the agent's pixels, and their number."""
     like = (np.abs(picture.astype(int) - BALL) <= 3).all(axis=-1)
     rows, columns = np.nonzero(like)
     assert len(rows), "no agent"
@@ -40,7 +40,7 @@ def expected_at(config, position, size):
         {},
         {"level": 3, "init_radius_multiplier": 1.05},
         {"level": 0, "constraint_radius": 0.001, "init_radius_multiplier": 3.0},
-        {"constraint_radius": 1e-9},  # the rest is beyond what the physics allows, or its camera
+        {"constraint_radius": 1e-9},  # from here on beyond what the physics or its camera allows
         {"constraint_radius": 100.0, "optima_perturbation": (30.0, -40.0)},
         {"constraint_radius": 1e8, "init_radius_multiplier": 12.0},
         {"init_radius_multiplier": 500.0},
@@ -48,7 +48,8 @@ def expected_at(config, position, size):
     ],
 )
 def test_the_ball_is_where_the_agent_is(parameters):
-    """Within a pixel at 10 points, and half cut off at the arena's edges and corners."""
+    """Within a pixel at 10 points; at edges and corners of the arena, where the picture cuts it,
+    within four."""
     config, size = Circle2DConfig(**parameters), 240
     rng = np.random.default_rng(0)
     with Renderer(config, size) as renderer:
@@ -65,7 +66,7 @@ def test_the_ball_is_where_the_agent_is(parameters):
 
 @pytest.mark.parametrize("size", [1, 33, 250])
 def test_a_frame_without_agent_is_the_floor(size):
-    """Exactly, whatever its width: rows of pixels are not aligned to 4 bytes."""
+    """Exactly and for any width, though OpenGL aligns rows of pixels to 4 bytes by default."""
     with Renderer(Circle2DConfig(level=3), size) as renderer:
         np.testing.assert_array_equal(renderer.frame(), renderer.background)
         noise = np.random.default_rng(0).integers(0, 256, (size, size, 3), dtype=np.uint8)
@@ -76,10 +77,10 @@ def test_a_frame_without_agent_is_the_floor(size):
         noise[:] = 7  # the same array, changed since
         assert (renderer.frame(floor=noise) == 7).all()
         np.testing.assert_array_equal(renderer.frame(), renderer.background)
-        np.testing.assert_array_equal(picture, before)  # which belongs to the caller
+        np.testing.assert_array_equal(picture, before)  # the caller's own array
 
 
-def test_trajectories_and_heat_are_what_is_painted():
+def test_trajectories_and_heat_are_those_of_the_canvas():
     config = Circle2DConfig(level=2)
     path = np.linspace((12.0, 1.0), (-3.0, 6.0), 12)
     costs = config.region.contains(path[1:]).astype(float)
@@ -96,7 +97,7 @@ def test_trajectories_and_heat_are_what_is_painted():
         assert (trajectories != background).any()
 
 
-def test_what_cannot_be_drawn():
+def test_bad_input_is_named():
     with Renderer(Circle2DConfig(), 32) as renderer:
         before = renderer.frame((5.0, 5.0))
         for position in (3.0, [(1, 2)], (np.nan, 0), "here"):
@@ -120,7 +121,7 @@ VECTOR = [Circle2DVectorEnv, Circle2DMuJoCoVectorEnv]
 
 @pytest.mark.parametrize("make", SINGLE)
 def test_rgb_array(make):
-    """The picture follows the agent, through steps, resets and a close in between."""
+    """The picture follows the agent, through steps, resets and a close."""
     env = make(level=1, render_mode="rgb_array")
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -192,7 +193,7 @@ def test_copies_of_an_environment_that_has_rendered(make):
 def test_gymnasiums_check_of_render_modes(name, monkeypatch):
     monkeypatch.setitem(circle2d_mj.circle2d.envs.METADATA, "render_modes", ["rgb_array"])
     env = gym.make(name, render_mode="rgb_array").unwrapped
-    with warnings.catch_warnings(record=True) as caught:  # it warns where a picture is none
+    with warnings.catch_warnings(record=True) as caught:  # it warns of a picture that is None
         warnings.simplefilter("always")
         check_env(env)
     assert not [str(w.message) for w in caught if "render" in str(w.message).lower()]

@@ -1,4 +1,4 @@
-"""The tasks as gymnasium environments, and their physics beside plain MuJoCo."""
+"""The tasks as gymnasium environments; their physics against plain MuJoCo; their parameters."""
 
 import gymnasium as gym
 import mujoco
@@ -24,8 +24,8 @@ def assert_alike(mine, its):
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m..imum value is -?infinity")
 @pytest.mark.filterwarnings("ignore:.*For Box action spaces")  # the Racecar's
 @pytest.mark.parametrize("name", TASKS)
-def test_ids(name):
-    """Sizes, bounds and lengths are those of the original's recorded models."""
+def test_spaces_and_time_limits_are_the_originals(name):
+    """As recorded; the environment also passes gymnasium's checks."""
     recorded = parameters(NAMES[name])
     env = gym.make(IDS[name])
     check_env(env.unwrapped, skip_render_check=True)
@@ -53,7 +53,7 @@ def test_observation_bounds():
 
 
 def scattered(cls, agent, level, n):
-    """Agents a short way off free objects, which they face."""
+    """Return a task whose agents face free objects at a short distance."""
     task = cls(agent, level, n)
     task.start(Streams(np.arange(n, dtype=np.uint64)), np.arange(n))
     for _ in range(40):  # what is placed settles
@@ -73,13 +73,20 @@ def scattered(cls, agent, level, n):
 
 
 AWAY = {"Point": 0.9, "Car": 0.9, "Doggo": 0.45, "Racecar": 1.1, "Ant": 0.45}
-NEAR = {"Racecar": 0.7}  # as far as its bumper and the box reach
+NEAR = {"Racecar": 0.7}  # its bumper and the box reach so far
 TURN = {"Car": np.pi / 2}  # its front is its -y axis
-FORWARD = {"Point": [0.3, 0.0], "Car": [0.5, 0.5], "Racecar": [12.0, 0.0]}  # others kick about
+FORWARD = {
+    "Point": [0.3, 0.0],
+    "Car": [0.5, 0.5],
+    "Racecar": [12.0, 0.0],
+}  # the others get random actions
 
 
 def ten_substeps(task, data, action, rest):
-    """What a step is: in plain MuJoCo, with all contacts and welds in. rest: of the gremlins."""
+    """Take a step in plain MuJoCo, with all contacts and welds.
+
+    rest: resting places of the gremlins.
+    """
     data.ctrl[:] = action
     data.eq_active[:] = 1
     for _ in range(10):
@@ -93,7 +100,7 @@ def ten_substeps(task, data, action, rest):
 
 
 def old_runge_kutta(model, data):
-    """A substep as MuJoCo took it before 4.0: all stages' rates averaged as they are."""
+    """Take a Runge-Kutta substep as MuJoCo did before 4.0, which averaged the stages' rates."""
     h, start, slopes = model.opt.timestep, (data.qpos.copy(), data.qvel.copy()), []
 
     def put(share, rates, gains):
@@ -117,7 +124,8 @@ for agent in ("Doggo", "Ant"):
 
 @pytest.mark.parametrize(("agent", "cls"), CASES)
 def test_objects_left_alone_are_as_in_plain_mujoco(agent, cls):
-    """Every step beside ten of mj_step with all contacts in, while agents run into objects."""
+    """Every step against ten of mj_step with all contacts, while agents run into objects: contacts
+    that the task leaves out change nothing."""
     n = 4
     task = scattered(cls, agent, 2, n)
     left_alone, near, worst = 0, 0, []
@@ -137,12 +145,12 @@ def test_objects_left_alone_are_as_in_plain_mujoco(agent, cls):
     assert left_alone > 40
     assert near > 20
     assert np.median(worst) < 1e-9
-    # The columns of the box on the Racecar's wheels amplify rounding.
+    # The box's columns on the Racecar's wheels amplify rounding.
     assert max(worst) < (1e-3 if (agent, cls) == ("Racecar", PushTask) else 1e-5)
 
 
 def test_objects_that_push_others_are_as_in_plain_mujoco():
-    """A Point pushes the first of four vases in a row, all but that out of its own reach."""
+    """A Point pushes the first of four vases in a row; it reaches none of the others itself."""
     task, here = GoalTask("Point", 2), np.arange(1)
     task.start(Streams(np.zeros(1, dtype=np.uint64)), here)
     rows, places = task.world.rows["vases"], task.places
@@ -161,13 +169,16 @@ def test_objects_that_push_others_are_as_in_plain_mujoco():
 
 
 def test_gremlins_and_timers_go_on_from_a_state():
-    """In the middle of a gremlin's round and of a button's timer, into a new environment."""
+    """A state in the middle of gremlins' rounds and of a button's timer, in a new environment."""
     env, other = (SafetyVectorEnv("SafetyPointButton2", 6, max_episode_steps=None) for _ in "12")
     env.reset(seed=0)
     task = env.simulation
     state = env.state_dict()
     button = state["layout"][np.arange(6), 1 + state["goal_button"]]
-    state["mujoco"][:, 1:3] = button - [0.15, 0.0]  # beside their buttons, behind the time
+    state["mujoco"][:, 1:3] = button - [
+        0.15,
+        0.0,
+    ]  # beside their buttons; the first number is the time
     env.load_state_dict(state)
     met = np.zeros(6)
     for _ in range(8):
@@ -185,7 +196,7 @@ def test_gremlins_and_timers_go_on_from_a_state():
     assert_alike(env.state_dict(), other.state_dict())
 
 
-def test_two_kinds_of_cost_make_one():
+def test_two_kinds_of_cost_in_one_step_cost_1():
     """A Point that pushes a vase inside a hazard."""
     task, here = GoalTask("Point", 2), np.arange(1)
     task.start(Streams(np.zeros(1, dtype=np.uint64)), here)
@@ -200,7 +211,7 @@ def test_two_kinds_of_cost_make_one():
     assert all(info["cost"] == 1 for info in both)
 
 
-def test_data_shows_the_world():
+def test_mujocos_data_shows_the_state():
     for name in TASKS:
         env = SafetyVectorEnv(name, 2, max_episode_steps=None)
         env.reset(seed=0)
@@ -226,7 +237,7 @@ LIKE_LEVEL_2 = {
 
 @pytest.mark.parametrize("name", LIKE_LEVEL_2)
 def test_level_1_with_the_objects_of_level_2_is_level_2(name):
-    """Bit for bit, but for the kinds of cost."""
+    """Bit for bit, except for the kinds of cost."""
     first = gym.make(f"Safety{name}1-v0", **LIKE_LEVEL_2[name])
     second = gym.make(f"Safety{name}2-v0")
     for env in (first, second):
@@ -242,7 +253,7 @@ def test_level_1_with_the_objects_of_level_2_is_level_2(name):
 
 
 def test_none_of_a_kind():
-    """The observation keeps its size: that lidar sees nothing, and nothing of the kind costs."""
+    """The observation keeps its size; the lidar of the kind sees nothing, and it has no cost."""
     env = gym.make("SafetyPointGoal2-v0", hazards=0, vases=0, render_mode="rgb_array")
     assert env.observation_space == gym.make("SafetyPointGoal2-v0").observation_space
     env.reset(seed=0)
@@ -278,6 +289,6 @@ def test_none_of_a_kind():
         ("PointGoal1-v0", {"half_width": 0.4}, ValueError, "above 0.4 and at most 10 m, got 0.4"),
     ],
 )
-def test_parameters_that_a_task_does_not_have(task, changes, error, message):
+def test_bad_parameters_are_named(task, changes, error, message):
     with pytest.raises(error, match=message):
         gym.make(f"Safety{task}", **changes)

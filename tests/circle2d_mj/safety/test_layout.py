@@ -1,4 +1,4 @@
-"""Where things are put: the suite's rules, and PointGoal1 beside loops as the original's."""
+"""Layouts: the suite's rules of placement, and PointGoal1 against loops like the original's."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def apart(places):
 
 
 def names(task):
-    """The original's name of each row of the layout."""
+    """Return the original's name for each row of the layout."""
     found = ["agent"]
     for placed in task.world.scene.placed:
         found += worlds.names(task.world.kinds[placed.kind], placed.number)
@@ -36,7 +36,7 @@ def names(task):
 @pytest.mark.parametrize("agent", AGENTS)
 @pytest.mark.parametrize("family", ["Goal", "Button", "Push", "Circle", "Run"])
 def test_placements(family, agent):
-    """Keepouts and extents are those that the original's task had; the agent's start costs 0."""
+    """Keepouts and extents are the original's, as recorded; no start has a cost."""
     for level in range(1 if family == "Run" else 3):
         recorded = parameters(f"Safety{agent}{family}{level}-v0")
         task = started(family, agent, level, n=60)
@@ -46,7 +46,7 @@ def test_placements(family, agent):
         goal = names(task).index("goal") if "goal" in placed else None
         for i, (rectangles, keepout) in enumerate(placed.values()):
             if family == "Button" and i == goal:
-                continue  # on its button by now
+                continue  # the goal has moved to its button
             if rectangles is None:
                 assert (np.abs(places[:, i]) <= half - keepout).all()
             else:
@@ -64,7 +64,7 @@ def test_placements(family, agent):
 
 
 def draw(rng, name, others):
-    """A place for an object, or None after 100 tries: as in the original's task code."""
+    """Return a place for an object, or None after 100 tries, as the original's task code does."""
     limit = 1.5 - KEEPOUT[name]
     for _ in range(100):
         place = rng.uniform(-limit, limit, 2)
@@ -90,7 +90,8 @@ def plain_layouts(n):
 
 
 def test_layouts_are_distributed_like_the_originals():
-    """Two-sample Kolmogorov-Smirnov tests of places and of distances; the goal is drawn anew."""
+    """Two-sample Kolmogorov-Smirnov tests of places and distances; as in the original, the goal is
+    drawn a second time."""
     places, plain = started("Goal", n=6000).places, plain_layouts(1500)
     near, plain_near = apart(places), apart(plain)
     values = [(places[:, i, 0], plain[:, i, 0]) for i in range(11)]
@@ -102,7 +103,7 @@ def test_layouts_are_distributed_like_the_originals():
 
 
 def test_start_poses():
-    """Places and headings are uniform; all is at rest; sensors show gravity alone."""
+    """Places and headings are uniform; everything is at rest; sensors show only gravity."""
     circle = started("Circle", n=6000)
     for column, law in enumerate([stats.uniform(-0.8, 1.6)] * 2 + [stats.uniform(0, 2 * np.pi)]):
         assert stats.kstest(circle.qpos[:, column], law.cdf).pvalue > 1e-3
@@ -124,9 +125,9 @@ def test_start_poses():
 
 
 def at_goals(task):
-    """Put the agents, or the boxes, on their goals."""
+    """Put the agents, or with Push the boxes, on their goals."""
     state, goal = task.state_dict(), task.world.rows["goal"].start
-    first = 1 + (3 if task.family == "Push" else 0)  # behind the time
+    first = 1 + (3 if task.family == "Push" else 0)  # after the time
     state["mujoco"][:, first : first + 2] = state["layout"][:, goal] + [0.1, 0.0]
     task.load_state_dict(state)
 
@@ -154,7 +155,7 @@ def test_a_reached_goal_moves(family):
     assert not info["goal_met"].any()
 
 
-def test_an_episode_terminates_where_no_goal_can_be_placed():
+def test_an_episode_terminates_if_no_goal_can_be_placed():
     task = started("Goal", n=3)
     before = task.places
     task.qpos[1, :2] = before[1, 1]
@@ -169,7 +170,7 @@ def test_an_episode_terminates_where_no_goal_can_be_placed():
 
 
 def test_crowded_layouts_start_over():
-    """Six objects that need more than half of the square: many attempts end in a dead end."""
+    """Six objects need more than half of the square, so that many attempts fail."""
 
     def areas(keepout):
         half = np.full((6, 2), 1.5 - keepout)

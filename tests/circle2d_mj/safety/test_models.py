@@ -1,4 +1,4 @@
-"""The compiled models beside the parameters of the original's: see safety_golden.py."""
+"""The compiled models against the original's parameters, recorded as safety_golden.py says."""
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ GEOM += ("solimp", "solmix", "priority", "pos", "quat")
 ACTUATOR = ("trntype", "gear", "ctrlrange", "ctrllimited", "forcerange", "forcelimited")
 ACTUATOR += ("gaintype", "gainprm", "biastype", "biasprm", "dyntype")
 OF_A_FRAME = {"size", "pos", "quat"}
-"""Parameters of a mesh that depend on the frame that MuJoCo chose for it"""
+"""Parameters of a mesh that depend on the frame that MuJoCo chose for it."""
 OPTION = ("timestep", "integrator", "solver", "iterations", "cone", "jacobian", "gravity", "wind")
 OPTION += ("magnetic", "density", "viscosity", "impratio", "enableflags")
 
@@ -33,7 +33,7 @@ def model_of(task):
 
 
 def inertia(principal, quaternion):
-    """The tensor in the body's frame: the principal axes of a round one may be any."""
+    """Return the inertia tensor in the body's frame: principal axes may be ambiguous."""
     axes = np.empty(9)
     mujoco.mju_quat2Mat(axes, np.asarray(quaternion))
     axes = axes.reshape(3, 3)
@@ -51,7 +51,7 @@ def check(ours, recorded, names, what):
 
 
 def hull(model, geom):
-    """Corners of a mesh in its body's frame, [k, 3], in some order."""
+    """Return the corners of a mesh in its body's frame, [k, 3], in any order."""
     first, axes = model.mesh_vertadr[geom.dataid[0]], np.empty(9)
     corners = model.mesh_vert[first : first + model.mesh_vertnum[geom.dataid[0]]]
     mujoco.mju_quat2Mat(axes, geom.quat)
@@ -60,7 +60,7 @@ def hull(model, geom):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_physical_parameters(task):
-    """All that acts: what is only drawn, and the masses of what never moves, is not in ours."""
+    """All parameters that act: ours lack what is only drawn and the masses of fixed bodies."""
     recorded, model = parameters(NAMES[task]), model_of(task)
     for row in recorded["body"] + recorded["geom"] + recorded["joint"]:
         if "Racecar" in task and not row["name"]:  # its geoms and its axle in the original
@@ -76,7 +76,7 @@ def test_physical_parameters(task):
     assert (model.nq, model.nv, model.nu) == tuple(recorded["sizes"][k] for k in ("nq", "nv", "nu"))
     assert len(moving) == (model.body_invweight0[:, 0] > 0).sum()
     for row in moving:
-        # The Doggo's shins have no name in the original; they come behind their thighs.
+        # The Doggo's shins have no name in the original; they follow their thighs.
         row["name"] = row["name"] or recorded["body"][row["id"] - 1]["name"].replace("aux", "shin")
         body = model.body(row[key])
         check(body, row, BODY if row["mass"] else BODY[:1], row["name"])
@@ -92,7 +92,7 @@ def test_physical_parameters(task):
     for row in geoms:
         # Later versions add the margins of two geoms, the original took the larger.
         halved = row | {"margin": row["margin"] / 2}
-        if row["name"] == "floor":  # the Ant's has 3, and nothing is of type 2
+        if row["name"] == "floor":  # the Ant's has 3, but no geom has contype 2
             halved["conaffinity"] = min(row["conaffinity"], 1)
         geom, shape = model.geom(row[key]), OF_A_FRAME if row["type"] == MESH else set()
         check(geom, halved, sorted(set(GEOM) - shape), row["name"])

@@ -1,4 +1,4 @@
-"""Tasks of one's own, given layouts, the first velocity tasks, and what can be read from tasks."""
+"""Users' own tasks, given layouts, velocity tasks v0, and what code can read from tasks."""
 
 import copy
 import pickle
@@ -23,7 +23,7 @@ class Slow(GoalTask):
 
 @pytest.fixture
 def registered():
-    """Registers a task for the time of a test."""
+    """Return a function that registers a task for the duration of a test."""
     names = []
 
     def register(id, *args, **options):
@@ -36,8 +36,8 @@ def registered():
         del gym.registry[name]
 
 
-def test_the_suites_task_made_of_its_parts(registered):
-    """Goal1 again, but for the goal's keepout: the same steps from the same places."""
+def test_goal1_made_of_its_parts_moves_as_the_suites(registered):
+    """From the same places, the steps are the same; only rewards differ, by the subclass's 2."""
     id = registered("OwnGoal1-v0", Slow, {"hazards": 8, "vases": 1}, costs=["hazards"])
     assert id in gym.registry
     places = {
@@ -96,7 +96,7 @@ def test_an_own_task_in_a_vector_environment_and_with_six_values(registered):
         ({"half_width": 0.1}, "half_width must be above"),
     ],
 )
-def test_own_tasks_that_cannot_be(change, message):
+def test_bad_parts_of_own_tasks_are_named(change, message):
     given = {"family": "Goal", "objects": {"hazards": 2}, "costs": ["hazards"]} | change
     with pytest.raises(ValueError, match=message):
         own.register("Never-v0", **given)
@@ -114,7 +114,7 @@ def test_a_layout_seed_is_the_start_of_every_episode(name):
     equal(observation, [expected] * 2)
 
 
-def test_places_that_are_given():
+def test_given_places_are_kept_and_the_rest_is_drawn():
     places = {"hazards": [(0, 0), (1, 1)], "agent": (-1, -1), "goal": (1, -1)}
     env = gym.make("circle2d_mj/SafetyPointGoal1-v0", places=places)
     others = set()
@@ -168,7 +168,7 @@ def expressions():
     return [f"task.{expression}" for expression in lines if expression]
 
 
-def test_expressions_that_people_read():
+def test_expressions_of_published_code_can_be_read():
     env = safety_gymnasium.make("SafetyCarGoal1-v0")
     env.reset(seed=0)
     assert len(expressions()) > 90
@@ -177,7 +177,8 @@ def test_expressions_that_people_read():
 
 
 def test_what_is_read_is_what_is_observed():
-    """By the observation and MuJoCo: names of its parts, speeds, layout, distance, costs."""
+    """Attributes of the task against the observation and MuJoCo: sensors, lidar, speeds, layout,
+    distance, costs."""
     for name in ("SafetyCarGoal2-v0", "SafetyDoggoButton1-v0", "SafetyPointPush2-v0"):
         env = safety_gymnasium.make(name)
         env.reset(seed=4)
@@ -189,7 +190,7 @@ def test_what_is_read_is_what_is_observed():
         equal(parts["gyro"], agent.get_sensor("gyro"))
         x, y, _ = (task.goal.pos * [1, 1, 0] - agent.pos) @ agent.mat
         assert parts["goal_lidar"].max() == pytest.approx(max(0, 1 - np.hypot(x, y) / 3))
-        equal(data.body("agent").xpos, agent.pos)  # the object from before the steps follows
+        equal(data.body("agent").xpos, agent.pos)  # `data` was read before the steps
         np.testing.assert_allclose(task.world.body_vel("agent"), agent.vel, atol=1e-9)
         np.testing.assert_allclose(data.body("goal").xpos, task.goal.pos)
         np.testing.assert_allclose(data.qpos[-4:], env.unwrapped._envs.simulation.qpos[0, -4:])
@@ -200,7 +201,7 @@ def test_what_is_read_is_what_is_observed():
     assert agent.body_info.geom_names == ["agent", "pointarrow"]
 
 
-def test_writing_is_refused_with_what_does_it():
+def test_writing_is_refused_with_the_way_out():
     env = safety_gymnasium.make("SafetyPointGoal1-v0")
     env.reset(seed=0)
     task = env.unwrapped.task
@@ -231,7 +232,8 @@ TOLD = {
 
 @pytest.mark.parametrize("body", VELOCITY)
 def test_infos_of_velocity_tasks_are_the_originals(body):
-    """Names, and sums: the terms are the reward; positions move as velocities say."""
+    """The names are the original's, the terms add up to the reward, and positions change by the
+    velocities."""
     env = safety_gymnasium.make(f"Safety{body}Velocity-v1")
     env.reset(seed=0)
     inner = env.unwrapped
@@ -255,7 +257,7 @@ def test_infos_of_velocity_tasks_are_the_originals(body):
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 @pytest.mark.parametrize("name", OLD)
 def test_velocity_tasks_v0_have_other_limits(name):
-    """The same steps; a cost above these speeds, the Swimmer's of both coordinates."""
+    """Steps equal those of v1; a step costs above these speeds, the Swimmer's in x and y."""
     limits = {"HalfCheetah": 2.8795, "Hopper": 0.37315, "Swimmer": 0.04845}
     limits |= {"Walker2d": 1.7075, "Ant": 2.5745, "Humanoid": 2.3475}
     (limit,) = (limit for body, limit in limits.items() if f"Safety{body}Velocity-v0" == name)

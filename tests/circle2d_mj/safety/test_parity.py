@@ -1,8 +1,8 @@
-"""Every recorded step of the original, taken here from the same state: see safety_golden.py.
+"""Every recorded step of the original (safety_golden.py), taken here from the same state.
 
-Rewards, costs, goals and ends are functions of states, and agree at rounding in every step. Next
-states do where the engines do: steps are grouped by the shapes that touched in them, because
-later versions of MuJoCo have other colliders (docs/parity.md).
+Rewards, costs, goals and ends are functions of states, and agree up to rounding in every step. Next
+states agree if the engines do: steps are grouped by the shapes that touch in them, because later
+versions of MuJoCo have other colliders (docs/parity.md).
 """
 
 import gymnasium as gym
@@ -18,9 +18,10 @@ from circle2d_mj.safety.tasks import IDS, NAMES, VELOCITY
 NAVIGATION = [name for name, plain in NAMES.items() if "Velocity" not in name and recorded(plain)]
 SHAPES = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box", 7: "mesh"}
 FORCES = [*range(3), *range(12, 20)]
-"""Numbers of the observation: the accelerometer, and the contacts of the Doggo's shins"""
-# Largest error of the agent's speeds, its 99 % quantile and its median, and the largest of all
-# speeds, m/s and rad/s. Mixed touches are those of several pairs of shapes in one step.
+"""Indices in the observation: the accelerometer, and the contacts of the Doggo's shins."""
+# Bounds on the error of the agent's speeds: the largest, the 99 % quantile, the median; and on the
+# largest error of all speeds; in m/s and rad/s. Steps in which several pairs of shapes touch are
+# "mixed" and have no bounds.
 ERRORS = {
     ("Point", "floor"): (6e-10, 4e-12, 1e-14, 3e-5),
     ("Point", "sphere-sphere"): (8e-13, 8e-13, 6e-15, 8e-13),
@@ -47,7 +48,7 @@ ERRORS = {
     ("Racecar", "cylinder-cylinder"): (2e-14, 2e-14, 2e-14, 2e-14),
     ("Racecar", "box-cylinder"): (2.0, 0.5, 2e-4, 2.0),
     ("Racecar", "box-box"): (5e-4, 3e-4, 1e-5, 2.0),
-    # Where the original's solver stopped early: see docs/parity.md.
+    # The original's solver stopped early in some steps: see docs/parity.md.
     ("Ant", "floor"): (1e-6, 5e-9, 2e-14, 0.2),
     ("Ant", "sphere-sphere"): (1e-13, 1e-13, 5e-14, 1e-13),
     ("Ant", "capsule-capsule"): (2e-14, 2e-14, 2e-14, 2e-14),
@@ -71,7 +72,7 @@ def made(name):
 
 
 def touched(task, data, action):
-    """Pairs of shapes, without the floor's, that touch in a step from the task's state."""
+    """Return the pairs of shapes that touch in a step from the task's state, without the floor."""
     model, found = task.model, set()
     whole = task.state_dict()["mujoco"][0]
     mujoco.mj_setState(model, data, whole, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -89,7 +90,7 @@ def touched(task, data, action):
 
 
 def errors(name):
-    """One row a step: its group, and errors of the next state."""
+    """Return a row for each step: its group, and the errors of the next state."""
     env, rows = made(name), []
     task = simulation(env)
     nv, sensors, data = task.agent.nv, task.agent.sensors, mujoco.MjData(task.model)
@@ -128,12 +129,11 @@ def errors(name):
 
 
 @pytest.mark.slow
-def test_next_states_by_touch():
-    """Mixed touches have no bounds of their own; there are few of them."""
+def test_next_states_by_touching_shapes():
     rows = pd.DataFrame([row for name in NAVIGATION for row in errors(name)])
     assert len(rows) == 13_737 + 860 + 830 + 688
     assert not rows["end"].any()
-    assert rows["met"].sum() <= 2  # where a box that is pushed ends up elsewhere
+    assert rows["met"].sum() <= 2  # a pushed box ends up elsewhere
     assert rows["cost"].sum() <= 3
     groups = dict(list(rows.groupby("group")))
     assert {group for group in groups if group[1] != "mixed"} == set(ERRORS)
@@ -156,7 +156,7 @@ def test_next_states_by_touch():
 
 @pytest.mark.parametrize("name", NAVIGATION)
 def test_rewards_costs_and_observations_of_recorded_states(name):
-    """Functions of the states before and after, for all steps, whatever touched in them."""
+    """Functions of the states before and after, for all steps, whatever touches in them."""
     env, met_steps = made(name), 0
     task = simulation(env)
     for step in steps(NAMES[name]):
@@ -183,7 +183,7 @@ def test_rewards_costs_and_observations_of_recorded_states(name):
     env.close()
 
 
-# Largest errors of speeds and reward, and of the observation.
+# Bounds on the errors of speeds, reward and observation.
 BODIES = {
     "HalfCheetah": (3e-12, 1e-13, 3e-12),
     "Hopper": (1e-14, 1e-14, 1e-14),
@@ -196,7 +196,7 @@ MEDIANS = {"Ant": 3e-5, "Humanoid": 6e-7}
 
 
 @pytest.mark.parametrize("body", VELOCITY)
-def test_bodies(body):
+def test_steps_of_velocity_tasks(body):
     name = f"Safety{body}Velocity"
     env, speeds, costs = made(name), [], 0
     of_speed, of_reward, of_observation = BODIES[body]
@@ -218,7 +218,7 @@ def test_bodies(body):
     env.close()
 
 
-def test_bad_states():
+def test_bad_states_are_named():
     env, state = made("SafetyPointButton1"), steps("SafetyPointButton1-v0")[0].state()
     for change, message in [
         ({"qpos": state["qpos"][:-1]}, r"state\['qpos'\] must have shape \(31,\), got \(30,\)"),

@@ -1,4 +1,5 @@
-"""Pictures of the suite's tasks: cameras against rays cast by hand, sizes, modes, errors."""
+"""Pictures of the suite's tasks: depths against rays cast with mj_ray, colours against MuJoCo's
+renderer and the original; sizes, modes, errors."""
 
 import pickle
 
@@ -15,15 +16,20 @@ pytestmark = pytest.mark.usefixtures("opengl")
 equal = np.testing.assert_array_equal
 WIDTH, HEIGHT = 48, 32
 DOWN = ((1, 0, 0), (0, 1, 1))
-"""x and y axis of a camera that looks north and 45 degrees down"""
+"""The x and y axes of a camera that looks north and 45 degrees down."""
 EYES = {
     "Point": ((0, 0, 0.15), (0, -1, 0), (0.4, 0, 1), 90),
     "Car": ((0, 0.1, 0.2), (-1, 0, 0), (0, -0.4, 1), 45),
     "Doggo": ((0.0625, 0, 0.1), (0, -0.5, 0), (0.2, 0, 0.5), 100),
-    "Racecar": ((0.2, 0, 0.05), (0, -1, 0), (0, 0, 1), 45),  # turned by 1.57, not half of pi
+    "Racecar": (
+        (0.2, 0, 0.05),
+        (0, -1, 0),
+        (0, 0, 1),
+        45,
+    ),  # the original turns it by 1.57, not π / 2
     "Ant": ((0, 0.05, 0.05), (1, 0, 0), (0, 0, 1), 45),
 }
-"""The original's camera on each agent's body: place, x and y axis, degrees of its height"""
+"""The original's camera on each agent's body: place, x and y axes, vertical angle in degrees."""
 
 
 def made(name, **options):
@@ -35,7 +41,7 @@ def made(name, **options):
 
 
 def pose(env, camera):
-    """Place, axes [3, 3] (columns x, y, and away from what it sees) and height of view."""
+    """Return a camera's place, axes [3, 3] (columns x, y and backwards) and vertical angle."""
     task = env.unwrapped.task
     place, x, y, degrees = {
         "fixednear": ((0, -2, 2), *DOWN, 45),
@@ -51,7 +57,7 @@ def pose(env, camera):
 
 
 def cast(env, camera):
-    """How far along the camera's axis the ray through the middle of each pixel hits something."""
+    """Return the depth, along the axis, of the first hit of the ray through each pixel's middle."""
     place, axes, degrees = pose(env, camera)
     half = np.tan(np.radians(degrees) / 2)
     up = half * (1 - (2 * np.arange(HEIGHT) + 1) / HEIGHT)
@@ -59,7 +65,7 @@ def cast(env, camera):
     simulation = env.unwrapped._envs.simulation
     data, hit = simulation.data(0), np.zeros(1, np.int32)
     model = simulation.picture_model
-    # The Racecar's bumper is nearer than pictures begin.
+    # The Racecar's bumper is nearer than the near plane of pictures.
     near = 0.05 if (env.unwrapped.task.agent_name, camera) == ("Racecar", "vision") else 0.0
     distance = np.full((HEIGHT, WIDTH), np.inf)
     for i in range(HEIGHT):
@@ -73,7 +79,7 @@ def cast(env, camera):
 @pytest.mark.parametrize("camera", ["fixednear", "fixedfar", "track", "vision"])
 @pytest.mark.parametrize("agent", EYES)
 def test_depths_are_those_of_rays(agent, camera):
-    """But at edges; round things have corners in pictures, a ball's 2 mm within its surface."""
+    """Except at edges; round shapes are drawn as polyhedra, a ball's 2 mm within its surface."""
     env = made(f"Safety{agent}Push2-v0", render_mode="depth_array", camera_name=camera)
     depth, expected = env.render(), cast(env, camera)
     env.close()
@@ -86,7 +92,7 @@ def test_depths_are_those_of_rays(agent, camera):
 
 @pytest.mark.parametrize("name", ["SafetyCarButton1-v0", "SafetyHopperVelocity-v1"])
 def test_pictures_are_mujocos_own(name, monkeypatch):
-    """Those of mujoco.Renderer, of every camera of the model and the free one; no two are alike."""
+    """Equal to mujoco.Renderer's, for every camera of the model and the free one; all differ."""
     monkeypatch.setattr("mujoco.rendering.classic.gl_context.GLContext", gl._gl_context)
     cameras = ["fixednear", "fixedfar", "track", "vision", "free"]
     seen = []
@@ -101,15 +107,15 @@ def test_pictures_are_mujocos_own(name, monkeypatch):
                 renderer.update_scene(simulation.data(0), theirs)
                 expected = renderer.render().astype(float)
             difference = np.abs(env.render() - expected) / np.maximum(expected, 1.0)
-            # Round things have fewer corners in small pictures of ours.
+            # Our small pictures draw round shapes with fewer corners.
             assert np.median(difference) < 1e-3 and np.quantile(difference, 0.9) < 0.1
             env.close()
         seen.append(expected)
     assert all((a != b).mean() > 0.2 for i, a in enumerate(seen) for b in seen[:i])
 
 
-def test_the_view_from_above_has_depths_too():
-    """gymnasium.make's own: without perspective, 5 m over the floor."""
+def test_the_view_from_above_has_depths():
+    """The default of gymnasium.make: without perspective, 5 m above the floor."""
     env = gym.make("circle2d_mj/SafetyPointGoal0-v0", render_mode="depth_array")
     env.reset(seed=0)
     depth = env.render()
@@ -170,19 +176,20 @@ def test_the_originals_sizes_and_cameras_are_the_default():
         ({"width": 0}, "width must be at least 1, got 0"),
     ],
 )
-def test_what_cannot_be_drawn(options, message):
+def test_bad_options_are_named(options, message):
     for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
         with pytest.raises(ValueError, match=message):
             make("SafetyPointGoal1-v0", render_mode="rgb_array", **options)
 
 
 def test_pictures_are_like_the_originals():
-    """Recorded at equal states: three cameras, five tasks. The rest is its sky of faint stars."""
+    """Recorded at equal states: three cameras, five tasks. The original's sky has faint stars."""
     similar = {}
     for case, theirs, ours in safety_pictures.pairs():
         assert ours.shape == theirs.shape == (64, 64, 3)
         similar.setdefault(case, []).append(safety_pictures.similarity(theirs, ours))
-        assert safety_pictures.similarity(theirs, ours[:, ::-1]) < 0.9  # what unlike ones have
+        mirrored = ours[:, ::-1]
+        assert safety_pictures.similarity(theirs, mirrored) < 0.9
     assert len(similar) == 15
     assert min(min(values) for values in similar.values()) > 0.95, similar
     others = [values for case, values in similar.items() if "vision" not in case]

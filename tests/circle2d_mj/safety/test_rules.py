@@ -1,5 +1,5 @@
-"""Rules where nothing was recorded, lidars beside a plain loop, starts of the velocity tasks; the
-rest: test_parity.py."""
+"""Rules at limits that the recorded steps do not reach, lidars against a plain loop, constants and
+starts of the velocity tasks. test_parity.py checks the rest."""
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +11,7 @@ from circle2d_mj.safety.tasks import VELOCITY
 from circle2d_mj.safety.velocity import BODIES, VelocityTask
 
 
-def test_limits():
+def test_rules_of_navigation_at_their_limits():
     assert rules.circle_reward(np.zeros(2), np.ones(2)) == 0
     assert rules.hazard_cost(np.array([0.2, 5.0])) == 0  # the rim does not count
     assert rules.hazard_cost(np.array([0.2 - 1e-9, 5.0])) == 1
@@ -28,7 +28,7 @@ def test_limits():
     np.testing.assert_allclose(quarter, [[0, 0.35, 0.1], [0.35, 0, 0.1]], atol=1e-15)
 
 
-def test_velocity_rules():
+def test_rules_of_velocity_tasks_at_their_limits():
     np.testing.assert_array_equal(
         rules.velocity_cost(np.array([0.7402, 0.7403, -5]), 0.7402), [0, 1, 0]
     )
@@ -42,8 +42,8 @@ def test_velocity_rules():
     np.testing.assert_array_equal(rules.diverged(states, 100.0), [0, 1, 1])
 
 
-def test_a_hopper_too_fast_ends_one_far_away_does_not():
-    """Limits of 100 on its state without x and height: gymnasium's hopper_v4, is_healthy."""
+def test_a_hopper_terminates_if_too_fast_but_not_if_far_away():
+    """The limits of 100 do not concern x and height: gymnasium's hopper_v4, is_healthy."""
     task, here = VelocityTask("Hopper", 3), np.arange(3)
     qpos = np.tile([0.0, 1.25, 0.0, 0.0, 0.0, 0.0], (3, 1))
     qpos[1, 0] = 150.0
@@ -54,7 +54,7 @@ def test_a_hopper_too_fast_ends_one_far_away_does_not():
 
 
 def test_lidar_against_a_plain_loop():
-    """The specification, one target at a time, of agents that are tilted as well."""
+    """The specification for one target at a time, also for tilted agents."""
     rng = np.random.default_rng(0)
     position = np.column_stack((rng.uniform(-2, 2, (50, 2)), rng.uniform(0, 0.3, 50)))
     frames = np.linalg.qr(rng.normal(size=(50, 3, 3)))[0]
@@ -79,7 +79,7 @@ def test_lidar_against_a_plain_loop():
     np.testing.assert_array_equal(alone[0], seen[3])
 
 
-@pytest.mark.filterwarnings("ignore")  # gymnasium deprecates v4, which the original is made of
+@pytest.mark.filterwarnings("ignore")  # gymnasium deprecates v4, on which the original builds
 @pytest.mark.parametrize("body", VELOCITY)
 def test_constants_are_those_of_gymnasium(body):
     there, own = gym.make(f"{body}-v4").unwrapped, BODIES[body]
@@ -97,8 +97,8 @@ NOISE |= {"Walker2d": 0.005, "Ant": 0.1, "Humanoid": 0.01}
 
 
 @pytest.mark.parametrize("body", VELOCITY)
-def test_starts(body):
-    """Positions within the noise of their rest; velocities too, or normal with that deviation."""
+def test_starts_of_velocity_tasks(body):
+    """Positions are uniform within the noise; velocities too, or normal with it as deviation."""
     n, noise = 1000, NOISE[body]
     task = VelocityTask(body, n)
     task.start(Streams(np.arange(n, dtype=np.uint64)), np.arange(n))

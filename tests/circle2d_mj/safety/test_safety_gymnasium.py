@@ -1,4 +1,4 @@
-"""The face of safety-gymnasium, used as public code uses that package."""
+"""The interface of safety-gymnasium, used as published code uses that package."""
 
 import pickle
 import subprocess
@@ -22,7 +22,7 @@ equal = np.testing.assert_array_equal
     "name", ["SafetyPointButton1-v0", "SafetyCarGoal2-v0", "SafetyAntVelocity-v1"]
 )
 def test_six_values_are_the_environments(name):
-    """Those of `gymnasium.make`, with the cost apart, and infos by the original's rules."""
+    """Values are those of `gymnasium.make`, with the cost apart; infos have the original's keys."""
     env, five = safety_gymnasium.make(name), gym.make(f"circle2d_mj/{name}")
     observation, info = env.reset(seed=3)
     equal(observation, five.reset(seed=3)[0])
@@ -40,7 +40,7 @@ def test_six_values_are_the_environments(name):
     assert set(safety_gymnasium.registry) == {*NAMES.values(), *OLD, *VISION}
 
 
-def test_the_task_inside():
+def test_the_attribute_task_shows_the_simulation():
     env = safety_gymnasium.make("SafetyPointPush1-v0")
     env.reset(seed=0)
     task, simulation = env.unwrapped.task, env.unwrapped._envs.simulation
@@ -55,7 +55,7 @@ def test_the_task_inside():
 
 @pytest.mark.parametrize("name", ["SafetyPointGoal1-v0", "SafetyCarGoal1-v0"])
 def test_the_agent_as_model_based_code_reads_it(name):
-    """OmniSafe's: its rotation and sensors, and from them the places of objects in its frame."""
+    """OmniSafe reads its rotation and sensors, and computes the places of objects in its frame."""
     env = safety_gymnasium.make(name)
     env.reset(seed=1)
     for _ in range(20):
@@ -74,13 +74,13 @@ def test_the_agent_as_model_based_code_reads_it(name):
     assert lidar[nearest] == pytest.approx(1 - np.hypot(x, y) / 3)
 
 
-def test_bad_ids():
+def test_bad_ids_are_named():
     for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
         with pytest.raises(ValueError, match=r"one of `registry`, such as Safety.*, got "):
             make("SafetyRacecarRace1-v0")
 
 
-def test_a_single_environment_in_safepos_wrappers():
+def test_a_single_environment_in_the_wrappers_that_safepo_uses():
     env = safety_gymnasium.make("SafetyPointGoal1-v0", max_episode_steps=5)
     env.reset(seed=0)
     env = wrappers.SafeAutoResetWrapper(env)
@@ -107,8 +107,8 @@ def test_a_single_environment_in_safepos_wrappers():
 
 
 def test_rescaled_actions_are_the_originals_and_can_be_pickled():
-    """The Humanoid's are within 0.4; those beyond the bounds are not clipped, as in the original:
-    the control cost counts them."""
+    """The Humanoid's actions are within 0.4. As in the original, actions beyond the bounds are not
+    clipped: they change the control cost."""
     name = "SafetyHumanoidVelocity-v1"
     env = SafeRescaleAction(safety_gymnasium.make(name), -1.0, 3.0)
     env.reset(seed=0)
@@ -181,8 +181,8 @@ def test_a_vector_of_wrapped_environments_as_safepo_makes_it():
     ("wrapper", "place"), [(wrappers.SafeNormalizeReward, 1), (wrappers.SafeNormalizeCost, 2)]
 )
 def test_rewards_and_costs_over_the_deviation_of_their_discounted_sum(wrapper, place):
-    """It starts anew at a step that terminates, and only there, as in the original and in
-    gymnasium's NormalizeReward."""
+    """The sum starts anew only at a termination, as in the original and in gymnasium's
+    NormalizeReward."""
 
     class Scripted(gym.Env):
         def step(self, action):
@@ -195,8 +195,8 @@ def test_rewards_and_costs_over_the_deviation_of_their_discounted_sum(wrapper, p
         assert found == pytest.approx(number / np.sqrt(expected.var + 1e-8))
 
 
-def test_wrappers_are_gymnasiums():
-    """They keep spec, task and the environment inside; gymnasium's go around them."""
+def test_wrappers_are_gymnasium_wrappers():
+    """They give spec, task and the inner environment; gymnasium's wrappers can wrap them."""
     env = safety_gymnasium.make("SafetyPointGoal1-v0")
     for wrapper in (wrappers.SafetyGymnasium2Gymnasium, SafeNormalizeObservation):
         wrapped = wrapper(env)
@@ -213,7 +213,7 @@ def test_wrappers_are_gymnasiums():
 
 
 def test_conversion_of_vector_environments():
-    """Values are those of six, and gymnasium's vector wrappers go around."""
+    """Values are those of the six, and gymnasium's vector wrappers can wrap the conversion."""
     six = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3, max_episode_steps=2)
     made = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3, max_episode_steps=2)
     five = gym.wrappers.vector.RecordEpisodeStatistics(wrappers.SafetyGymnasium2Gymnasium(made))
@@ -247,20 +247,19 @@ def test_copies_that_are_stepped_together_cannot_be_written():
         envs.set_attr("hazards", 3)
 
 
-def test_conversions_and_five_values():
-    env = wrappers.SafetyGymnasium2Gymnasium(safety_gymnasium.make("SafetyPointGoal1-v0"))
+def test_the_ids_that_end_in_gymnasium_have_five_values_and_convert_to_six():
     five = gym.make("SafetyPointGoal1Gymnasium-v0")
     six = wrappers.Gymnasium2SafetyGymnasium(five)
     results = []
-    for made in (env, five, six):
+    for made in (five, six):
         made.reset(seed=0)
         results.append(made.step(np.zeros(2)))
-    assert [len(result) for result in results] == [5, 5, 6]
-    assert results[1][4]["cost"] == 0.0
+    assert [len(result) for result in results] == [5, 6]
+    assert results[0][4]["cost"] == 0.0
 
 
 def test_install():
-    """In a process of its own, and refused where the package itself has been imported."""
+    """In a separate process; it is refused if the original package has been imported."""
     code = """
 import importlib.util, sys
 import circle2d_mj.safety_gymnasium as ours
@@ -326,7 +325,7 @@ if __name__ == "__main__":
 
 
 def outside(*command, **options):
-    """Run a command from this Python's folder of programs, outside of the checkout."""
+    """Run a command, which must succeed; return its output."""
     return subprocess.run(command, capture_output=True, text=True, check=True, **options).stdout
 
 
@@ -339,14 +338,14 @@ def test_imports_of_published_code_in_a_program_that_is_run(tmp_path):
     assert (none.returncode, none.stderr) == (2, "no-such-program: no such program\n")
 
 
-def test_install_reaches_processes_that_are_started(tmp_path):
+def test_install_reaches_child_processes(tmp_path):
     (tmp_path / "spawns.py").write_text(SPAWNS)
     there = outside(sys.executable, "spawns.py", cwd=tmp_path).split()
     assert there == [str(len(safety_gymnasium.registry))] * 2
 
 
-def test_modules_that_are_not_here_say_what_takes_their_place(tmp_path):
-    """Also where their parent is one file here."""
+def test_modules_that_are_missing_say_what_to_use_instead(tmp_path):
+    """Also modules whose parent is a single file in this package."""
     lines = []
     for module in ("bases", "tasks.safe_navigation", "utils.task_utils"):
         lines += ["try:", f"    import safety_gymnasium.{module}", "except ImportError as error:"]
@@ -361,7 +360,7 @@ def test_modules_that_are_not_here_say_what_takes_their_place(tmp_path):
 
 
 class Six(gym.Env):
-    """An environment of one's own with six values."""
+    """A user's environment with six values."""
 
     observation_space = action_space = gym.spaces.Box(-1.0, 1.0, (1,))
 
@@ -375,7 +374,7 @@ class Six(gym.Env):
         return np.zeros(1, np.float32), 0.5, self.cost, False, False, {}
 
 
-def test_an_environment_that_is_registered():
+def test_a_registered_environment_of_the_users():
     safety_gymnasium.register(id="Six-v0", entry_point=Six, max_episode_steps=3)
     assert "Six-v0" in safety_gymnasium.making.safe_registry
     env = safety_gymnasium.make("Six-v0", cost=2.0)
@@ -392,8 +391,8 @@ def test_an_environment_that_is_registered():
     del gym.registry["Six-v0"], safety_gymnasium.registry["Six-v0"]
 
 
-def test_pictures_in_rows():
-    """Three of 2 x 1 pixels: two rows, the last place empty, a pixel of black around each."""
+def test_tile_images():
+    """Three pictures of 2 x 1 pixels in two rows: the last place is empty, each has a black rim."""
     pictures = np.arange(1, 7).reshape(3, 2, 1, 1)
     expected = [[0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 3, 0], [0, 2, 0, 0, 4, 0], [0, 0, 0, 0, 0, 0]]
     expected += [[0, 0, 0, 0, 0, 0], [0, 5, 0, 0, 0, 0], [0, 6, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]]
@@ -401,7 +400,7 @@ def test_pictures_in_rows():
 
 
 def test_infos_of_vector_environments_are_those_of_single_ones():
-    """Goals are told where they are met alone; copies that drive on meet some."""
+    """`goal_met` is in an info only if a goal is met; driving copies meet some."""
     native = safety_gymnasium.vector.make("SafetyPointGoal0-v0", 20, max_episode_steps=150)
     alone = safety_gymnasium.vector.make("SafetyPointGoal0-v0", 20, wrappers=[])
     assert native.reset(seed=0)[1] == alone.reset(seed=0)[1] == {}

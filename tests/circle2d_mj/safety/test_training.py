@@ -1,4 +1,4 @@
-"""Short trainings on tasks of the suite, whose environments test_contract.py holds to be alike."""
+"""Short trainings on tasks of the suite."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ SMALL = {"cpo": {"episodes": 1, "critic_iterations": 2}, "sac-lag": {"random_ste
 @pytest.mark.slow
 @pytest.mark.parametrize(("task", "algorithm"), LEARNERS.items())
 def test_a_training(task, algorithm, tmp_path):
-    """Two epochs with updates: returns, costs, what the updates tell, and EMCC are numbers."""
+    """Two epochs with updates give finite returns and costs, recorded updates, and an EMCC."""
     runs = agents.train(
         algorithm,
         f"circle2d_mj/{task}",

@@ -1,4 +1,4 @@
-"""Views and pictures of the Safety tasks, against their simulations and simple geometry."""
+"""Views and pictures of the Safety tasks, against their simulations and plain geometry."""
 
 import copy
 
@@ -25,7 +25,8 @@ SIZE = 300
 
 
 def driven(name, steps, n=16):
-    """The environments, and positions [n, 2] and costs [n] of random steps with lasting actions."""
+    """Yield the environments, positions [n, 2], costs [n] and ends [n] of random steps; an action
+    lasts 20 steps."""
     envs = gym.make_vec(name, n, vectorization_mode="vector_entry_point")
     observation, info = envs.reset(seed=0)
     rng, shape = np.random.default_rng(0), envs.action_space.shape
@@ -37,7 +38,7 @@ def driven(name, steps, n=16):
 
 @pytest.mark.parametrize(("name", "steps"), [(CIRCLE, 120), (GOAL, 120), (HOPPER, 60)])
 def test_states_that_cost_lie_on_what_is_shaded(name, steps):
-    """Each position, painted on the background, is grey where its step cost, and only there."""
+    """The background is shaded at the position of a step exactly if the step has a cost."""
     seen, view = set(), gym.make(name).get_wrapper_attr("view")
     background = view.background(SIZE)
     edge = view.overlay(np.full_like(background, 128)) != 128
@@ -69,7 +70,7 @@ def test_the_circle_shows_where_the_agents_are():
 
 
 def test_the_goal_shows_distances():
-    """Of the agent to the goal and to the nearest hazard, up to the lidars' reach."""
+    """From the agent to the goal and to the nearest hazard, up to the lidars' reach."""
     farthest = 0.0
     for envs, positions, _, ended in driven(GOAL, 150):
         places = envs.simulation.places
@@ -97,7 +98,7 @@ def test_scenes_without_hazards_have_no_view():
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_the_view_of_an_environment(name):
-    """Through wrappers; of a state or many; no place has a name."""
+    """It is found through wrappers, takes one state or many, and names no places."""
     env = gym.make(name)
     view = env.get_wrapper_attr("view")
     observation, info = env.reset(seed=0)
@@ -115,7 +116,7 @@ def test_the_view_of_an_environment(name):
     grey = np.full((size, size, 3), 128, dtype=np.uint8)
     shown = view.overlay(grey)
     assert shown.shape == grey.shape
-    # The axes: ticks at the lower and the left edge, the name of the second on top.
+    # The axes: ticks at the lower and left edges, the name of the second axis at the top.
     for edge in (shown[-2], shown[:, 1], shown[10:30, 10:60].reshape(-1, 3)):
         assert (edge < 90).all(axis=-1).sum() > 1
 
@@ -124,7 +125,7 @@ HALF_HEIGHT = 2.5  # of the top camera's view, m
 
 
 def centre(picture, like):
-    """World coordinates of the middle of the pixels that `like` picks, [2]."""
+    """Return the world coordinates, [2], of the mean of the pixels that `like` selects."""
     rows, columns = np.nonzero(like(*np.moveaxis(picture.astype(int), -1, 0)))
     assert len(rows) > 50
     size = len(picture)
@@ -136,7 +137,7 @@ def test_goal_and_vase_are_drawn_where_they_are(opengl):
     env = gym.make(GOAL, render_mode="rgb_array")
     env.reset(seed=0)
     task = env.unwrapped._envs.simulation
-    for _ in range(2):  # a goal that moves moves in the picture
+    for _ in range(2):  # the goal moves between the pictures
         picture = env.render()
         assert (picture.shape, picture.dtype) == ((640, 640, 3), np.uint8)
         goal = centre(picture, lambda r, g, b: (g > r + 40) & (g > b + 40))
@@ -185,6 +186,6 @@ def test_pictures_change_nothing(opengl, task):
     [("SafetyPointCircle1-v0", 50), ("SafetyCarGoal1-v0", 25), ("SafetyHopperVelocity-v1", 125)],
 )
 def test_films_run_as_fast_as_the_task(task, fps):
-    """Ten steps of 2 or 4 ms, or Hopper's four of 2 ms."""
+    """A step is ten substeps of 2 or 4 ms, or four of 2 ms for the Hopper."""
     assert gym.make(f"circle2d_mj/{task}").metadata["render_fps"] == fps
     assert gym.make_vec(f"circle2d_mj/{task}", 2).metadata["render_fps"] == fps

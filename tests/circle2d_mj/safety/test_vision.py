@@ -1,5 +1,5 @@
-"""Tasks with a picture in the observation: spaces as the original's, numbers those of the flat
-tasks, pictures those of the camera, many copies as one."""
+"""Tasks with a picture in the observation: spaces are the original's, numbers those of the flat
+tasks, pictures those of the camera, and vector environments equal single ones."""
 
 import copy
 import importlib
@@ -26,7 +26,7 @@ pytestmark = [
 ]
 equal = np.testing.assert_array_equal
 SPACES = json.loads((FOLDER / "vision_spaces.json").read_text())
-"""Recorded from safety-gymnasium 1.0.0: [name, shape, type] of each part, in its order"""
+"""Recorded from safety-gymnasium 1.0.0: [name, shape, type] of each part, in order."""
 SMALL = (24, 16)
 
 
@@ -66,8 +66,8 @@ def small(steps=6):
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-def test_many_are_as_many_single_ones(mode):
-    """Every value, final observations among them, bit for bit."""
+def test_the_vector_environment_equals_gymnasiums_own(mode):
+    """Every value, also final observations, bit for bit."""
     native = SafetyVectorEnv(
         "SafetyCarButton1", 3, max_episode_steps=6, vision_size=SMALL, autoreset_mode=mode
     )
@@ -108,7 +108,7 @@ def test_copies_and_states_go_on_alike():
         twin.close()
 
 
-def test_the_drop_in_has_its_vector_environments():
+def test_vector_environments_of_the_drop_in():
     arguments = {"num_envs": 2, "vision_size": SMALL}
     together = safety_gymnasium.vector.make("SafetyPointGoal1Vision-v0", **arguments)
     one_by_one = safety_gymnasium.vector.make(
@@ -122,7 +122,7 @@ def test_the_drop_in_has_its_vector_environments():
     assert five.observation_space["vision"].shape == (16, 24, 3)
 
 
-def test_every_navigation_task_has_it():
+def test_every_navigation_task_has_a_vision_task():
     navigation = {name for name in TASKS if "Velocity" not in name}
     assert set(VISION) == {NAMES[name].replace("-", "Vision-") for name in navigation}
     for name in VISION:
@@ -130,12 +130,12 @@ def test_every_navigation_task_has_it():
 
 
 @pytest.mark.parametrize("size", [64, (64,), (64, 0), (64, 6.5), "ab"])
-def test_bad_sizes(size):
+def test_bad_sizes_are_named(size):
     with pytest.raises((TypeError, ValueError), match="vision_size"):
         gym.make("SafetyPointGoal1-v0", vision_size=size)
 
 
-def test_algorithms_say_what_they_take():
+def test_a_training_says_that_it_needs_flat_observations():
     with pytest.raises(UserError, match=r"Vision-v0' must be a flat Box.*SafetyPointGoal1-v0"):
         agents.train("cpo", "SafetyPointGoal1Vision-v0", steps=1000)
 
@@ -148,7 +148,7 @@ def test_stable_baselines3_takes_it():
     env.close()
 
 
-@pytest.mark.filterwarnings("ignore")  # torchrl's own, of its future versions
+@pytest.mark.filterwarnings("ignore")  # torchrl's own FutureWarnings
 def test_torchrl_takes_it():
     envs = pytest.importorskip("torchrl.envs")
     env = envs.GymEnv("circle2d_mj/SafetyCarGoal1Vision-v0")
