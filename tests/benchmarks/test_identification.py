@@ -1,4 +1,4 @@
-"""The search for the paper's settings: its distance by hand, and what its rule proposes."""
+"""The search for the paper's settings: its distance by hand, its proposals, and its page."""
 
 import importlib.util
 import re
@@ -19,11 +19,11 @@ search = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(search)
 Setting = search.Setting
 WIDE = {(*cell[:2], m): 2.0 for cell in search.cells() for m in (*search.FLOORS, *search.HELD_BACK)}
-"""A spread of two in every cell."""
+"""A spread of 2 in every cell."""
 
 
 def runs(setting=Setting(), off=0.0, seeds=4, noise=0.0):  # noqa: B008
-    """Runs whose means are the paper's numbers plus `off` in J_R."""
+    """Return runs whose means are the paper's numbers, plus `off` in J_R."""
     rng, rows = np.random.default_rng(0), []
     printed = search.cells({**search.FLOORS, **search.HELD_BACK})
     for name in PAPER_ALGORITHMS:
@@ -46,9 +46,9 @@ def test_there_are_eighty_numbers_and_sixty_held_back():
 
 
 def test_the_distance_by_hand():
-    """J_R is off by 3 in 20 of 80 cells, of a spread of 2: 1.5 / 4 = .375. Off by 30 it counts as
-    5: 5 / 4. Without one algorithm on one level its four cells count as 5 each. A spread below the
-    floor of .5 is .5: 3 / .5 = 6, so 5 again."""
+    """J_R is off by 3, or 1.5 spreads of 2, in 20 of 80 cells: 1.5 / 4 = .375. Off by 30 counts as
+    5 spreads, the most: 5 / 4. The four cells of an algorithm that lacks a level count as 5 each.
+    A spread below the floor of .5 counts as .5: 3 / .5 = 6, so 5 again."""
     assert search.distance_of(runs(), WIDE) == 0
     assert search.distance_of(runs(off=3.0), WIDE) == pytest.approx(0.375)
     assert search.distance_of(runs(off=-3.0), WIDE) == pytest.approx(0.375)
@@ -61,15 +61,15 @@ def test_the_distance_by_hand():
     assert search.distance_of(runs(off=3.0), WIDE, search.HELD_BACK) == 0
 
 
-def test_the_mean_over_seeds_counts():
+def test_the_distance_is_that_of_means_over_seeds():
     own = runs()
     own["J_C"] += np.where(own["seed"] % 2, 4.0, -4.0)
     assert search.distance_of(own, WIDE) == pytest.approx(0, abs=1e-9)
 
 
-def test_what_the_rule_proposes():
-    """The nearest has depth .6 and the unit of length, and follows episodes: 18 settings, then 11
-    more, then 6; never more than 40, and the nearest among them."""
+def test_the_rule_finds_the_nearest_setting():
+    """The distance is the number of values that differ from `target`. The rule proposes 18
+    settings, then 11 more, then 6, within its limit of 40, and finds the target."""
     target = Setting(0.6, 0.1, "length", follows="episode", optimizer="sgd")
 
     def far(own):
@@ -93,8 +93,7 @@ def test_what_the_rule_proposes():
     assert full[5].geometry == Setting().geometry
 
 
-def test_settings_are_those_of_the_algorithms():
-    """Each takes what it has; today's adds what its preset has already."""
+def test_settings_become_hyperparameters_that_the_algorithms_have():
     other = Setting(units="length", limit="bootstrap", reward="running", follows="start")
     other = replace(other, optimizer="sgd", on_policy_limit="terminal", wcsac="library")
     for name in PAPER_ALGORITHMS:
@@ -110,8 +109,8 @@ def test_settings_are_those_of_the_algorithms():
 
 
 def test_runs_in_common_are_trained_once(monkeypatch, tmp_path):
-    """Trained are the runs that a change concerns, by hand; the rest is the table's, in the new
-    setting's name."""
+    """Only runs that a change concerns are trained; the others are taken from the table, under the
+    new setting's name."""
     trained, table = [], runs(seeds=2)
     monkeypatch.setattr(search.agents, "grid", lambda *what, **_: trained.append(what))
     every, cut_out = list(search.TASKS), ["Circle2D-2-v0", "Circle2D-3-v0"]
@@ -141,7 +140,7 @@ def test_the_depth_matters_on_levels_with_cut_outs(level):
 
 
 def test_another_geometry_must_be_clearly_nearer():
-    """By .25 and more, surely over seeds, and not farther by EMCC."""
+    """By at least .25, certainly over seeds, and without being farther in EMCC."""
     home, away = Setting(), Setting(depth=0.6)
     far, near = runs(home, off=3.0, noise=0.3), runs(away, noise=0.3)
     found = search.clearly_nearer(pd.concat([far, near]), WIDE)
@@ -155,11 +154,11 @@ def test_another_geometry_must_be_clearly_nearer():
 
 
 def squeezed(text):
-    """Cells as wide as their words."""
+    """Return the text with single spaces."""
     return re.sub(" +", " ", text)
 
 
-def test_the_page_ranks_and_names_what_nothing_explains():
+def test_the_page_ranks_settings_and_names_cells_that_none_explains():
     screened = pd.concat([runs(off=3.0), runs(Setting(depth=0.6), off=10.0)])
     text = squeezed(search.page(screened, runs(Setting(depth=0.6)), WIDE))
     assert text.index("| today's | 0.38 |") < text.index("| depth 0.6 | 1.25 |")
@@ -169,5 +168,5 @@ def test_the_page_ranks_and_names_what_nothing_explains():
     assert "| TRPO-Lag | Circle2D-2-v0 | J_R | -4.23 | 5.00 |" in far
 
 
-def test_spreads_of_the_published_runs_are_there():
+def test_the_published_runs_give_a_spread_for_every_cell():
     assert search.read_spread().keys() >= WIDE.keys()

@@ -1,6 +1,6 @@
-"""Training in lockstep against the plain loops of `benchmarks/`, which share no code with it.
+"""Lockstep training against the plain loops of `benchmarks/`, which share no code with it.
 
-Both get the same parameters and the same data, and must end with the same parameters.
+Both start from the same parameters, get the same data, and must end with the same parameters.
 """
 
 import importlib.util
@@ -36,6 +36,7 @@ plain_sac, plain_trpo = plain_module("plain_sac"), plain_module("plain_trpo")
 
 
 def double(tree):
+    """Convert all arrays of a tree to float64."""
     if isinstance(tree, np.ndarray):
         return tree.astype(float)
     if tree is None or isinstance(tree, Tensor):
@@ -44,7 +45,7 @@ def double(tree):
 
 
 def views(module, vector):
-    """(parameter of the module, where it lies in the flat vector, seen in the module's layout)."""
+    """Yield each parameter of a module with the view of the flat vector that corresponds to it."""
     start = 0
     for linear in (m for m in module.modules() if isinstance(m, nn.Linear)):
         n_out, n_in = linear.weight.shape
@@ -64,7 +65,7 @@ def assert_same(module, vector, **tolerance):
 
 
 def networks(agent, state, run):
-    """Every network of a plain SAC agent with its place in the lockstep state."""
+    """Yield every network of a plain SAC agent with its parameters in the lockstep state."""
     yield agent.actor, torch.from_numpy(state.actor[run])
     for reward, cost, flat in (
         (agent.critic, agent.cost_critic, torch.from_numpy(state.critics[run])),
@@ -85,8 +86,8 @@ def off_policy_agent(name, config, state, run):
 
 @pytest.mark.parametrize("name", plain_sac.AGENTS)
 def test_off_policy_updates(name):
-    """Three updates of two runs, in float64. The limit lies among what the critics say, so that
-    both branches of the barrier are met."""
+    """Three updates of two runs, in float64. The limit lies among the cost critics' values, so that
+    both branches of the barrier are used."""
     rule, runs = ALGORITHMS[name].rule, 2
     config = replace(preset(name, TASK), cost_limit=0.1)
     nets = sac.make_nets(config, 2, 2, 1)
@@ -125,7 +126,7 @@ def test_off_policy_updates(name):
 
 
 def invented_rollout(runs):
-    """Episodes that never were, of different lengths: observations wander, actions are noise."""
+    """Return a rollout of invented episodes of different lengths, from random numbers."""
     rng, n = np.random.default_rng(0), runs * EPISODES
     length = rng.integers(30, 51, size=n)
     path = np.cumsum(0.1 * rng.normal(size=(51, n, 2)), axis=0).astype(np.float32)
@@ -155,9 +156,9 @@ def assert_same_actor(agent, it, params, **tolerance):
 @pytest.mark.parametrize("name", plain_trpo.AGENTS)
 @pytest.mark.parametrize("target_kl", [0.01, 1.0])
 def test_policy_steps(name, target_kl):
-    """In float64, with an excess cost for each case of CPO; then costs that are constant, that are
-    what the reward rewards, and what it punishes. A trust region far too large for its quadratic
-    model makes the line search work."""
+    """In float64. Runs 0 to 3 have an excess cost for each case of CPO; in the others the cost
+    advantage is 0, equal to the reward advantage, and its opposite. With `target_kl` 1 the trust
+    region is far too large for its quadratic model, so that the line search must shrink steps."""
     it = learner(name, replace(preset(name, TASK), target_kl=target_kl), range(7), 2, 2)
     rollout = invented_rollout(7)
     packing = Packing(rollout.during, 7)
@@ -187,7 +188,7 @@ def test_policy_steps(name, target_kl):
 
 @pytest.mark.parametrize("name", plain_trpo.AGENTS)
 def test_on_policy_epoch(name):
-    """Advantages, step, passes of the critics and multiplier, as training does them: in float32."""
+    """Advantages, policy step, critics and multiplier of an epoch, in float32 as in training."""
     it, rollout = learner(name, preset(name, TASK), range(2), 2, 2), invented_rollout(2)
     agents = [on_policy_agent(name, it, run) for run in range(2)]
     it.learn(rollout, 0, np.ones(2, dtype=bool))

@@ -1,4 +1,4 @@
-"""The analysis of the study of streaks, on tables whose outcome is known."""
+"""The analysis of the study of streaks, on invented tables whose outcome is known."""
 
 import importlib.util
 from pathlib import Path
@@ -25,9 +25,9 @@ CONTROL_RATES = {arm: float(arm.split()[1]) / 1000 for arm in streaks.CONTROL}
 
 
 def table(gap=0.0, rate=0.012, lost=0.0, tasks=streaks.TASKS, noise=0.01, draw=0):
-    """Runs whose control has EMCC 10 rate and return 1000 rate, plus noise; the other arms have the
-    given cost rate, or with None that of `RATES`, an EMCC that is lower by `gap`, and a return that
-    is lower by `lost`."""
+    """Return invented runs. Control arms have an EMCC of 10 and a return of 1000 times their cost
+    rate, plus noise. Other arms have the given rate (None: that of `RATES`), an EMCC that is lower
+    by `gap`, and a return that is lower by `lost`."""
     rng, rows = np.random.default_rng(draw), []
     for task in tasks:
         for arm in streaks.ARMS:
@@ -47,8 +47,8 @@ def primary(judged):
 
 
 def test_a_lower_emcc_at_equal_rate_and_return_is_a_success():
-    """On four tasks; on the fifth the return is lower, on the sixth the cost rate is below all of
-    the control's, on the seventh EMCC is on the curve."""
+    """So on four tasks. On the fifth the return is lower, on the sixth the cost rate is below all
+    of the control's, on the seventh EMCC is that of the control."""
     of = streaks.TASKS
     parts = [table(0.05, tasks=of[:4]), table(0.05, lost=5.0, tasks=of[4:5])]
     parts += [table(0.05, rate=0.001, tasks=of[5:6]), table(0.0, tasks=of[6:])]
@@ -64,8 +64,8 @@ def test_a_lower_emcc_at_equal_rate_and_return_is_a_success():
     assert streaks.verdict(streaks.judge(fewer)) == "Undecided: 6 of 7 tasks are complete."
 
 
-def test_what_lies_on_the_controls_curve_is_no_success():
-    """A lower cost rate with the EMCC and the return that the control has at it."""
+def test_an_arm_on_the_controls_curve_is_no_success():
+    """It has another cost rate, with the EMCC and the return that the control has there."""
     for rate in (0.008, 0.02):
         judged = streaks.judge(table(rate=rate))
         assert not judged["success"].any()
@@ -75,22 +75,23 @@ def test_what_lies_on_the_controls_curve_is_no_success():
 
 
 def test_a_gap_by_hand():
-    """The control's points of a seed are (.005, .05), (.01, .1), ... and (.025, .25). At a rate of
-    .012 the curve is .12, below all rates it is .05; the arm's EMCC is .08."""
+    """The control's points of cost rate and EMCC are (.005, .05), (.01, .1), ..., (.025, .25). The
+    curve is .12 at a rate of .012 and .05 below all rates; the arm's EMCC is .08."""
     for rate, expected in ((0.012, -0.04), (0.001, 0.03), (0.1, -0.17)):
         own = table(rate=rate, tasks=of(1), noise=0.0)
         own.loc[own["arm"] == "streak 10", "EMCC"] = 0.08
         np.testing.assert_allclose(streaks.gaps(own, "streak 10", "EMCC"), expected)
 
 
-def test_signs_by_hand():
-    """(1, 2, 3): of eight sums of signs two are as far from 0 as 6; (1, 2, -3) sums to 0."""
+def test_the_sign_test_by_hand():
+    """Of the eight signed sums of 1, 2, 3, two are as far from 0 as 6; 1 + 2 - 3 is 0."""
     assert streaks.sign_test(np.array([1.0, 2.0, 3.0])) == 2 / 8
     assert streaks.sign_test(np.array([1.0, 2.0, -3.0])) == 1
 
 
 def test_the_test_errs_no_more_often_than_it_says():
-    """Arms on the control's curve, 300 draws: p is at most .05 in 15 of them, 3.8 around it."""
+    """In 300 draws of an arm on the control's curve, p <= .05 is expected 15 times, with a standard
+    deviation of 3.8."""
     p = [
         streaks.sign_test(streaks.gaps(table(tasks=of(1), draw=k), "streak 10", "EMCC"))
         for k in range(300)
@@ -99,7 +100,7 @@ def test_the_test_errs_no_more_often_than_it_says():
 
 
 def test_p_values_are_corrected_over_tasks():
-    """A gap beyond doubt has the least p, 2 of 1 024 signs, and seven times that on seven tasks."""
+    """A certain gap has the least p, 2 of 1 024 signs; on seven tasks it is seven times that."""
     for count in (1, 7):
         judged = primary(streaks.judge(table(0.1, tasks=of(count))))
         np.testing.assert_allclose(judged["p"], count * 2 / 1024)
@@ -119,7 +120,8 @@ def test_incomplete_tasks_are_left_out():
 
 
 def test_rows_are_added_and_those_of_the_same_runs_replaced():
-    """Three tasks' rows, and two of these tasks again with another return: by task, arm, seed."""
+    """Rows of three tasks, and of two of them again with another return; sorted by task, arm and
+    seed."""
     before, again = table(tasks=of(3)), table(tasks=of(2), lost=1.0)
     found = streaks.merged(before, again.to_dict("records"))
     assert len(found) == len(before) and streaks.complete(found) == list(of(3))
@@ -132,14 +134,14 @@ def test_rows_are_added_and_those_of_the_same_runs_replaced():
 
 
 def test_hypervolumes_by_hand():
-    """(.2, .6) and (.5, .1): .8 x .4 + .5 x .5 = .57; a point that another dominates adds none."""
+    """(.2, .6) and (.5, .1) give .8 x .4 + .5 x .5 = .57; a dominated point adds nothing."""
     points = [(0.5, 0.1), (0.2, 0.6)]
     assert streaks.hypervolume(np.array(points)) == pytest.approx(0.57)
     assert streaks.hypervolume(np.array([*points, (0.6, 0.7)])) == pytest.approx(0.57)
     assert streaks.hypervolume(np.array([(1.0, 0.0), (0.0, 1.0)])) == 0
 
 
-def test_hypervolumes_against_counting():
+def test_hypervolumes_against_counting_points_of_a_grid():
     rng = np.random.default_rng(1)
     points = rng.random((5, 2))
     grid = (np.arange(400) + 0.5) / 400
@@ -148,7 +150,7 @@ def test_hypervolumes_against_counting():
     assert streaks.hypervolume(points) == pytest.approx(covered.mean(), abs=0.01)
 
 
-def test_families_are_told_apart_by_their_volumes():
+def test_hypervolumes_tell_the_better_family():
     for gap, sign in ((0.05, 1), (-0.05, -1)):
         found = streaks.volume_rows(table(gap, rate=None, tasks=of(4)))
         assert (np.sign(found["streak"] - found["plain"]) == sign).all()
@@ -156,8 +158,8 @@ def test_families_are_told_apart_by_their_volumes():
 
 
 def test_the_base_learner_is_the_best_that_meets_its_limit():
-    """B has the highest return and exceeds the limit on one task, A's is higher than C's: A's score
-    is (10/20 + 4/4) / 2 = .75, C's (8/20 + 2/4) / 2 = .45."""
+    """B has the highest return but exceeds the limit on one task. A's score is higher than C's:
+    (10/20 + 4/4) / 2 = .75 against (8/20 + 2/4) / 2 = .45."""
     rows = [("A", "t", 27.0, 10.0), ("A", "u", 20.0, 4.0), ("B", "t", 28.0, 20.0)]
     rows += [("B", "u", 20.0, 4.0), ("C", "t", 5.0, 8.0), ("C", "u", 5.0, 2.0)]
     screening = pd.DataFrame(rows, columns=["candidate", "task", "cost", "return"])
@@ -167,8 +169,8 @@ def test_the_base_learner_is_the_best_that_meets_its_limit():
 
 
 def test_rows_of_runs_are_what_their_records_say(tmp_path):
-    """With a streak limit, whose second cost has no rows; EMCC of the last third by windows of ten
-    episodes, here of 50 steps each, by the costs of single steps."""
+    """EMCC of the last third, in windows of ten episodes of 50 steps, computed from the costs of
+    single steps. The second cost, that of the streak limit, has no rows."""
     settings = {"seeds": (3, 4), "steps": 3_000, "evaluation_episodes": 2, "episodes": 3}
     runs = agents.train("ppo-lag", out=tmp_path / "run", streak_limit=5.0, **settings)
     rows = streaks.rows_of(tmp_path, arm="x")

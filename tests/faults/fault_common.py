@@ -1,4 +1,4 @@
-"""Common parts of the faults: commands in forked processes, and the count of what they left."""
+"""Common parts of the faults: commands in forked processes, and a tally of tries and defects."""
 
 import contextlib
 import io
@@ -18,18 +18,18 @@ from agents.cli.main import main
 
 SAC = ["--random-steps", "50", "--gradient-steps", "1", "--batch-size", "32"]
 EVERY = 100
-"""Tries after which a line tells of them: the whole suite takes long."""
+"""A line of progress is printed after so many tries: the whole suite takes long."""
 
 
 @dataclass
 class Tally:
-    """How many faults of each kind were tried, and what was wrong after them."""
+    """Number of faults tried of each kind, and the defects that followed."""
 
     tried: Counter = field(default_factory=Counter)
     defects: list[tuple[str, str]] = field(default_factory=list)
 
     def note(self, kind: str, problem: str) -> None:
-        """Count a try. problem: empty where all is as it should be."""
+        """Count a try. problem: what was wrong; empty if nothing was."""
         self.tried[kind] += 1
         if self.tried[kind] % EVERY == 0:
             print(f"{self.tried[kind]:,} tried: {kind}", file=sys.stderr, flush=True)
@@ -38,7 +38,7 @@ class Tally:
             print(f"defect: {kind}: {problem}", file=sys.stderr, flush=True)
 
     def table(self) -> str:
-        """A row for each kind, in Markdown."""
+        """Return a Markdown table with a row for each kind."""
         wrong = Counter(kind for kind, _ in self.defects)
         rows = [(kind, n, n - wrong[kind], wrong[kind]) for kind, n in self.tried.items()]
         rows.append(("all", *(sum(row[k] for row in rows) for k in (1, 2, 3))))
@@ -51,12 +51,12 @@ class Done:
     """A command that ended."""
 
     status: int
-    """Of the process; negative: the signal that killed it."""
+    """Exit status of the process; negative: the number of the signal that killed it."""
     out: str
     err: str
 
     def problem(self, allowed: tuple[int, ...]) -> str:
-        """Say what is wrong with it; empty where nothing is."""
+        """Return what is wrong; empty if nothing is. allowed: statuses that are right."""
         if "Traceback" in self.err or "Exception ignored" in self.err:
             return f"a traceback: {self.err[-600:]}"
         if self.status not in allowed:
@@ -68,7 +68,7 @@ class Done:
 
 
 def forked(act: Callable[[], int]) -> Done:
-    """Run a function in a process of its own, which has all modules that this one has."""
+    """Run a function in a forked process, which has all loaded modules of this one."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         sys.stdout.flush()
         sys.stderr.flush()
@@ -107,17 +107,17 @@ def here(args: list[str]) -> Done:
 
 
 def leftovers(folder: Path) -> list[str]:
-    """Temporary files below a folder."""
+    """Return the temporary files below a folder."""
     return [str(path) for path in folder.rglob("*") if re.search("unfinished|tmp", path.name)]
 
 
 def difference(found: dict[str, bytes], expected: dict[str, bytes]) -> str:
-    """In words, which files differ; empty where none does."""
+    """Return the names of files that differ, joined by commas."""
     names = found.keys() | expected.keys()
     return ", ".join(sorted(name for name in names if found.get(name) != expected.get(name)))
 
 
 def fresh(of: Path, to: Path) -> Path:
-    """A copy of a folder in the place of another."""
+    """Replace the folder `to` by a copy of `of`; return its path."""
     shutil.rmtree(to, ignore_errors=True)
     return shutil.copytree(of, to)

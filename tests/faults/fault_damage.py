@@ -1,4 +1,4 @@
-"""Damaged files: every file of a run folder, cut off, with flipped bits, and of other kinds."""
+"""Damaged files: every file of a run folder is cut off, has bits flipped, or is replaced."""
 
 import contextlib
 import io
@@ -23,11 +23,11 @@ NOT_OF_RESULTS = (
     "heatmap.png",
     "film.gif",
 )
-"""Files that commands do not read, or that say nothing of results."""
+"""Files that commands do not read, or that hold no results."""
 
 
 def saved(save, *arrays, **named):
-    """The file that np.save or np.savez writes."""
+    """Return the bytes of the file that np.save or np.savez writes."""
     buffer = io.BytesIO()
     save(buffer, *arrays, **named)
     return buffer.getvalue()
@@ -44,7 +44,7 @@ OTHERS = [
 
 
 def edit_json(data, rng):
-    """JSON with one value replaced; other damage where it is none."""
+    """Return JSON with one value replaced; data that is not JSON is cut in half."""
     try:
         content = json.loads(data)
     except ValueError:
@@ -61,7 +61,7 @@ def edit_json(data, rng):
 
 
 def damaged(data, rng):
-    """Damage of a random kind, and its name."""
+    """Return the name of a random kind of damage, and the damaged data."""
     kind = rng.choice(["cut off", "flipped bit", "flipped bit", "another kind", "edited", "longer"])
     if kind == "cut off" and data:
         return kind, data[: rng.randrange(len(data))]
@@ -80,7 +80,7 @@ def damaged(data, rng):
 
 
 def emcc_of(folder):
-    """Status and output of `python -m emcc`."""
+    """Return the status and the output of `python -m emcc`."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
@@ -91,7 +91,7 @@ def emcc_of(folder):
 
 
 class Readers:
-    """Commands that read a folder, and what they give for the undamaged one."""
+    """Commands that read a folder, and their output for the undamaged folder."""
 
     def __init__(self, whole, folder):
         self.folder = fresh(whole, folder)
@@ -102,14 +102,14 @@ class Readers:
         fresh(whole, folder)
 
     def problems(self, rng, name):
-        """Say what is wrong with what some commands do now. name: the damaged file."""
+        """Yield what is wrong with the output of some commands. name: of the damaged file."""
         status, out = emcc_of(self.folder)
         if status == 0 and out != self.emcc:
             yield "emcc gives other numbers"
         for seed, found in measures(self.folder).items():
             if found != self.measures[seed]:
                 yield f"the report gives other numbers of seed {seed}"
-        # The checkpoint before the last one holds another policy; a message says so.
+        # If the last checkpoint is damaged, a message says that the one before is used.
         with contextlib.suppress(UserError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             action = agents.load_policy(self.folder, seed=1)(np.zeros(2)).tolist()
@@ -126,13 +126,14 @@ class Readers:
                 yield "evaluate: other numbers"
         elif done.status == 0:
             changed = difference(results(self.folder), self.expected)
-            # What is not written again is looked at when it is loaded.
+            # Files that are not written again are checked only when they are loaded.
             if changed and (changed != name or name.startswith("results")):
                 yield f"resume: differs: {changed}"
 
 
 def try_costs(tally: Tally, whole, count, rng, root):
-    """Flip a bit of a file of costs, and of an archive of runs: the same numbers or an error."""
+    """Flip bits of a file of costs and of an archive of runs: `emcc` must print the same numbers or
+    an error."""
     costs, archive = root / "costs.npz", root / "archive.zip"
     np.savez(costs, costs=(np.arange(1000).reshape(20, 50) % 7 == 0).astype(np.uint8))
     agents.report(whole, archive=archive, out=root / "report_of_whole")
@@ -154,8 +155,8 @@ def try_costs(tally: Tally, whole, count, rng, root):
 
 
 def try_misfits(tally: Tally, whole, count, rng, root):
-    """Change the size of an array of `results.npz` that stays whole, and report: what fits is
-    shown, and the file is named in a line."""
+    """Change the size of an array of `results.npz`, which stays readable: the report shows the
+    rest, or names the file in a line."""
     folder = root / "misfits"
     with np.load(whole / "results.npz") as file:
         arrays = dict(file)
@@ -173,7 +174,7 @@ def try_misfits(tally: Tally, whole, count, rng, root):
 
 
 def try_damage(tally: Tally, whole, count, rng, root):
-    """Damage random files and read the folder."""
+    """Damage one file after another, each in a random way, and read the folder."""
     readers = Readers(whole, root / "damaged")
     paths = sorted(p for p in whole.rglob("*") if p.is_file() and p.name not in NOT_OF_RESULTS)
     for k in range(count):

@@ -28,14 +28,14 @@ NUMBERS = ["0", "-1", "1", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1
 
 
 def many(count, number=0):
-    """Settings of hypothesis for so many examples (one at least), the same each time."""
+    """Return a decorator: hypothesis with so many examples, at least one, the same each time."""
     how = {"deadline": None, "database": None, "suppress_health_check": [*HealthCheck]}
     checks = settings(max_examples=max(1, count), phases=[Phase.generate], **how)
     return lambda function: seed(number)(checks(function))
 
 
 def options_of(algorithm):
-    """Names of all options of a training."""
+    """Return the names of all options of a training."""
     own = [field.name for field in dataclasses.fields(ALGORITHMS[algorithm].config)]
     general = [field.name for field in dataclasses.fields(train_command.TrainOptions)]
     return [name for name in own + general if name not in ("algorithm", "out", "imports")]
@@ -43,7 +43,7 @@ def options_of(algorithm):
 
 @contextlib.contextmanager
 def without_training():
-    """Have `train` do all but train."""
+    """Have the command `train` do everything except the training."""
     train, finish = api._train, train_command._finish
     api._train, train_command._finish = (lambda *_: None), (lambda *_: 0)
     try:
@@ -53,9 +53,10 @@ def without_training():
 
 
 def try_options(tally: Tally, count, rng, root):
-    """Options of `train` and the other commands with values of all kinds.
+    """Give options of `train` and of other commands values of all kinds.
 
-    Either the settings are made, and can be read again, or one line says why not, and nothing is.
+    `train` must either write settings that can be read again, or say in one line what is wrong and
+    leave no folder.
     """
     values = st.sampled_from(NUMBERS) | st.text(max_size=20) | st.integers().map(str)
     values |= st.floats().map(str)
@@ -126,9 +127,10 @@ TASKS = ("Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "circle2d_mj/SafetyHopperVeloci
 
 
 def try_arrays(tally: Tally, count, rng):
-    """Arguments of all kinds for the metric's functions and actions for environments.
+    """Give the metric's functions arguments, and environments actions, of all kinds.
 
-    Either TypeError or ValueError, or finite numbers.
+    Each call must raise TypeError or ValueError, or succeed; what environments return must be
+    finite.
     """
     envs = {task: gym.make(task, disable_env_checker=True) for task in TASKS}
     for env in envs.values():

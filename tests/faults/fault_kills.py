@@ -1,4 +1,5 @@
-"""SIGKILL, full disks and signals at random file operations of every command; failing tasks."""
+"""SIGKILL, full disks, signals and failed reads at random file operations of commands; failing
+tasks."""
 
 import errno
 import fcntl
@@ -25,14 +26,14 @@ EVENTS = ("open", "os.rename", "os.mkdir", "os.remove")
 
 
 class Operations:
-    """Counts file operations of this process below a folder, and does something at one of them.
+    """Counts this process's file operations below a folder, and calls a function at some of them.
 
-    Only for processes that end: an audit hook cannot be removed.
+    Only for short-lived processes: an audit hook cannot be removed.
     """
 
     def __init__(self, folder, at=-1, act=lambda file: None, until=None, reading=False):
-        """act: called at operation `at`, and at all to `until`, by default at that one. reading:
-        count the files that are opened for reading instead of what is written."""
+        """act: called at the operations `at` to `until`, by default only at the first. reading:
+        count files that are opened for reading, instead of operations that write."""
         self.folder, self.act, self.count, self.reading = str(folder), act, 0, reading
         self.at, self.until = at, at if until is None else until
         self.fsync = os.fsync
@@ -52,7 +53,7 @@ class Operations:
         if bool(writes) == self.reading:
             return
         if event == "os.remove" and self.until > self.at:
-            return  # a full disk does not keep files from being removed
+            return  # files can be removed from a full disk
         self._next(None)
 
     def _fsync(self, file):
@@ -67,11 +68,11 @@ class Operations:
 
 
 class Scene:
-    """A command, what is there before it, and what must be there after it and its repetition."""
+    """A command, its folder before it, and what the folder must hold after it is repeated."""
 
     def __init__(self, name, root, before, args, again):
-        """before: a folder to begin with, or None; args, again: of a folder, the command and the
-        one that goes on after it."""
+        """before: a folder to start from, or None. args, again: functions of a folder that return
+        the command, and the command that goes on after it was stopped."""
         self.name, self.before, self.args, self.again = name, before, args, again
         self.folder = root / "runs"
         self._prepare()
@@ -81,7 +82,7 @@ class Scene:
         self.expected, self.measures = results(self.folder), measures(self.folder)
 
     def _count(self, reading=False):
-        """Operations of the command on the files of its folder."""
+        """Return the number of the command's operations on files of its folder."""
 
         def count():
             with Operations(self.folder, reading=reading) as operations:
@@ -100,7 +101,7 @@ class Scene:
             fresh(self.before, self.folder)
 
     def fault(self, rng, act, allowed, lasting=False):
-        """One fault at a random operation, then the command again. Returns what was wrong."""
+        """Cause a fault at a random operation, run the command again, return what was wrong."""
         self._prepare()
         at = rng.randint(1, self.operations)
 
@@ -112,7 +113,7 @@ class Scene:
         return self.after(done, allowed, f"{self.name}, operation {at} of {self.operations}")
 
     def unread(self, rng, error):
-        """One file that cannot be read this once: that is no damage of it."""
+        """Let one read of a file fail once, which must not be taken for damage of the file."""
         self._prepare()
         if self.reads is None:
             self.reads = self._count(reading=True)
@@ -131,7 +132,7 @@ class Scene:
         return f"{where}: {done.err[-300:]}" if taken else self.after(done, (0, 2), where)
 
     def limited(self, rng):
-        """The command where files cannot become longer than some bytes."""
+        """Run the command with a limit on the size of files."""
         self._prepare()
         limit = rng.choice([0, 100, 1000, 5000, 20_000, 50_000])
 
@@ -145,7 +146,7 @@ class Scene:
         return self.after(forked(run), (0, 2), f"{self.name}, files of at most {limit} bytes")
 
     def after(self, done: Done, allowed, where):
-        """Go on after a command that was stopped. Returns what was wrong."""
+        """Go on after a command that was stopped; return what was wrong."""
         if problem := done.problem(allowed):
             return f"{where}: {problem}"
         if done.status >= 0 and (left := leftovers(self.folder)):
@@ -165,7 +166,7 @@ class Scene:
 
 
 def measures(folder):
-    """Measures of the runs that a report takes for complete, by seed."""
+    """Return, by seed, the measures of the runs that a report takes for complete."""
     try:
         groups = read_groups([folder], [])
     except UserError:
@@ -174,7 +175,7 @@ def measures(folder):
 
 
 def scenes(root, names=()):
-    """Every command that writes, but for reproduce. names: some of them; by default all."""
+    """Return scenes of every command that writes, except reproduce. names: of some scenes only."""
     options = [*SMALL, "50"]
     whole, stopped = root / "whole", root / "stopped"
     sac = ["train", "sac-lag", "--evaluate-every", "100", *SAC, *options]
@@ -207,7 +208,7 @@ def scenes(root, names=()):
 
 
 def kill_of(rng):
-    """An act: the end of the process, sometimes in the midst of what it wrote last."""
+    """Return an act that kills the process, sometimes with the end of its last file cut off."""
 
     def act(file):
         if file is not None and rng.random() < 0.5:
@@ -219,18 +220,18 @@ def kill_of(rng):
 
 
 def no_space(file):
-    """An act: the disk is full."""
+    """Act as a full disk."""
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def signal_of(rng):
-    """An act: a signal that ends commands. And the statuses that may follow."""
+    """Return an act that sends a signal which ends commands, and the statuses that may follow."""
     number = rng.choice([signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
     return lambda file: os.kill(os.getpid(), number), (0, 128 + number)
 
 
 def chosen(found, count, rng):
-    """Random commands; those that take seconds are rarer."""
+    """Choose random commands; those that take seconds are rarer."""
     weights = {"report": 1, "film": 2, "heatmap": 3}
     return rng.choices(found, [weights.get(scene.name, 10) for scene in found], k=count)
 
@@ -252,7 +253,7 @@ def try_disks(tally: Tally, found, count, rng):
 
 
 def try_reads(tally: Tally, found, count, rng):
-    """Files that cannot be read at one time, as on a network's disk, or for lack of memory."""
+    """Reads that fail once, as on a network's disk or for lack of memory."""
     numbers = (errno.EIO, errno.ESTALE, errno.EACCES, errno.EMFILE)
     errors = [*(OSError(number, os.strerror(number)) for number in numbers), MemoryError()]
     scenes = [scene for scene in found if scene.name in ("resume", "evaluate")]
@@ -299,12 +300,13 @@ def try_signals(tally: Tally, found, count, rng):
 
 HOW = ("observation", "reward", "cost", "raise", "exit", "complex", "missing", "negative")
 ENDS = ("die", "hang")
-"""Failures that end the training; the others end the runs that they happen to."""
+"""Failures that end the training; the others end only the run in which they happen."""
 
 
 def try_tasks(tally: Tally, count, rng, root):
-    """Tasks that fail: one line, status 1, no process left; a whole checkpoint, or all that was
-    done, which is not begun again."""
+    """Tasks that fail: the command prints one line, has status 1 and leaves no process. If the
+    training ended, its newest checkpoint is the last before that; if a run ended, resuming does not
+    start it again."""
     toys.register()
     out = root / "failing"
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""The long fault suite: `make faults`. Prints what was tried, what was clean, and the defects."""
+"""The long fault suite: `make faults`. Prints how many faults were tried, and the defects."""
 
 import argparse
 import os

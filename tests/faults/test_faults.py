@@ -14,8 +14,8 @@ QUICK = ("train", "resume", "evaluate")
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_few_faults(tmp_path):
-    """A process that is killed, a full disk, a signal, a file that is damaged or not read once, a
-    task that fails, an odd option or array."""
+    """Killed processes, full disks, signals, files that are damaged or once unreadable, failing
+    tasks, odd options and arrays."""
     rng, tally = random.Random(1), Tally()
     with checkpoints_often():
         found = scenes(tmp_path, names=QUICK)

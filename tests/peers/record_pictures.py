@@ -1,10 +1,11 @@
-"""Records pictures of safety-gymnasium 1.0.0 with the states that they show.
+"""Record pictures of safety-gymnasium 1.0.0 together with the states that they show.
 
 PYTHON tests/peers/record_pictures.py FILE.npz     # PYTHON has safety-gymnasium 1.0.0
 python tests/circle2d_mj/safety_pictures.py FILE.npz     # compares them with those of this package
 
-For each task and state: arrays as `circle2d_mj.safety.original.load` takes them, and pictures
-"CAMERA/SIZE", with lidar markers for the agent's camera, as it is observed, and without for others.
+For each task and state, the file holds arrays as `circle2d_mj.safety.original.load` takes them, and
+pictures "CAMERA/SIZE". Those of the agent's camera show lidar markers, as observations do; those of
+other cameras show none.
 """
 
 import os
@@ -22,7 +23,7 @@ EVERY, STATES = 30, 3
 
 
 def state_of(task, first):
-    """The state by the names of `original.load`; first: those of the reset."""
+    """Return the state, with the names of `original.load`. first: the entries of the reset."""
     data = task.data
     state = {"qpos": data.qpos, "qvel": data.qvel, "time": data.time, **first}
     for kind in ("hazards", "pillars", "buttons", "goal"):
@@ -36,7 +37,7 @@ def state_of(task, first):
 
 
 def put(task, state, body_pos):
-    """Go back to a state of the same episode."""
+    """Put the task back into a state of the same episode."""
     data = task.data
     data.qpos[:], data.qvel[:], data.time = state["qpos"], state["qvel"], float(state["time"])
     if "mocap_pos" in state:
@@ -46,7 +47,7 @@ def put(task, state, body_pos):
 
 
 def record(name):
-    """States of an episode, and pictures of each, by one buffer for each size."""
+    """Return states of an episode and pictures of each; one buffer serves each size."""
     env = safety_gymnasium.make(f"Safety{name}-v0")
     env.reset(seed=5)
     task, rng = env.unwrapped.task, np.random.default_rng(0)

@@ -1,9 +1,10 @@
-"""Runs safety-gymnasium's own tests where `safety_gymnasium` is this package's.
+"""Run safety-gymnasium's own tests with this package in place of `safety_gymnasium`.
 
 python tests/peers/run.py CHECKOUT [pytest's arguments]
 
-CHECKOUT: of github.com/PKU-Alignment/safety-gymnasium; only its folder `tests` is used. Nothing is
-fetched. Prints how many cases pass, of all and of those whose ids are here.
+CHECKOUT: a checkout of github.com/PKU-Alignment/safety-gymnasium; only its folder `tests` is used,
+and nothing is fetched. Prints how many test cases pass, of all cases and of those whose task ids
+this package has.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def pytest_runtest_makereport(item, call):
 
 
 def main(checkout: Path, arguments: list[str]) -> int:
-    """Run the tests; return 0 where 95 % of the cases whose ids are here pass."""
+    """Run the tests; return 0 if 95 % of the cases whose ids this package has pass."""
     if not (checkout / "tests" / "test_env.py").is_file():
         sys.exit(f"{checkout} is no checkout of safety-gymnasium: it has no tests/test_env.py")
     with tempfile.TemporaryDirectory() as folder:
