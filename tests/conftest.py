@@ -16,8 +16,8 @@ settings.load_profile("suite")
 
 @pytest.fixture(scope="session")
 def opengl():
-    """Skips the test where no library can draw off-screen; the error says what to install. One that
-    is there but does not work is a failure."""
+    """Skip the test if no library for off-screen drawing is installed; the message says what to
+    install. A library that is installed but does not work is a failure."""
     from circle2d_mj import Circle2DConfig
     from circle2d_mj.render import gl
     from circle2d_mj.render.renderer import Renderer
@@ -32,7 +32,7 @@ def opengl():
 
 @pytest.fixture
 def library(monkeypatch):
-    """The examples of the group's library; their algorithms are registered for one test alone."""
+    """The examples library_cpo and library_sac_lag, whose algorithms one test registers."""
     from agents import algorithms
 
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
@@ -45,7 +45,7 @@ def library(monkeypatch):
 
 @pytest.fixture(scope="session")
 def browser():
-    """Chromium, driven by Playwright; skips the test where one of them is missing."""
+    """Chromium, driven by Playwright; the test is skipped if one of them is missing."""
     playwright = pytest.importorskip("playwright.sync_api").sync_playwright
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
     if chromium is None:
@@ -58,7 +58,7 @@ def browser():
 
 @pytest.fixture
 def opened_page(browser):
-    """Opens a file; afterwards there must be no error, and nothing fetched."""
+    """A function that opens a file in the browser; it must give no error and fetch nothing."""
     contexts, said = [], []
 
     def open_page(file, width, scheme, **options):

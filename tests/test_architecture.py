@@ -1,4 +1,4 @@
-"""The shape of the house: which way imports go."""
+"""Imports between packages and layers go one way, and in no cycle."""
 
 import ast
 from graphlib import CycleError, TopologicalSorter
@@ -29,7 +29,7 @@ LAYERS = (
     "api",
     "cli",
 )
-"""Of agents, the lowest first."""
+"""Modules and packages of agents, the lowest layer first."""
 MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
@@ -49,7 +49,8 @@ def within(names, package):
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_go_one_way(path):
-    """agents -> circle2d_mj, agents -> emcc; inside agents each of LAYERS knows those before it."""
+    """agents may import circle2d_mj and emcc, which import neither agents nor each other; inside
+    agents, each of LAYERS may import those before it."""
     names = set(imports_of(ast.parse(path.read_text())))
     parts = path.relative_to(ROOT).parts
     others = {"circle2d_mj": ("agents", "emcc"), "emcc": ("agents", "circle2d_mj")}
@@ -63,7 +64,8 @@ def test_imports_go_one_way(path):
 
 
 def needs(path, files):
-    """Files that a file imports when it runs; of `from package import module` the module."""
+    """Return the files that a file imports at run time; for `from package import module`, only the
+    module."""
     tree = ast.parse(path.read_text())
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
@@ -76,8 +78,9 @@ def needs(path, files):
     return names
 
 
-def test_imports_go_in_no_circle():
-    """Between the files of all packages, inside functions too, but not for type checkers alone."""
+def test_imports_form_no_cycle():
+    """Between the files of all packages; imports inside functions count, imports only for type
+    checkers do not."""
     modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES]
     files = dict(zip((m.removesuffix(".__init__") for m in modules), MODULES, strict=True))
     graph = {name: needs(path, files) for name, path in files.items()}

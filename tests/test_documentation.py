@@ -1,5 +1,5 @@
-"""README and documentation: their code runs, their commands exist, links lead somewhere, and what
-is made from the code holds all of it."""
+"""README and documentation: code runs, commands and links exist, and pages that are generated from
+the code are complete."""
 
 import dataclasses
 import importlib
@@ -26,7 +26,7 @@ PAGES = [page for page in PAGES if not {"made", "_build", "_ext"} & set(page.par
 TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
 SLOW = ("docs/training.md",)
 ELSEWHERE = ("docs/extending.md", "docs/first_steps.md", "docs/ray.md")
-"""Pages whose code has tests of its own: test_extending.py, test_first_steps.py, those of ray."""
+"""Pages whose code other files test: test_extending.py, test_first_steps.py, the tests of ray."""
 DRAWING = ("docs/environments.md",)
 README = TEXTS["README.md"]
 OWN = {name: {"--price"} for name in ("sac-fixed", "trpo-price", "ppo-price")}
@@ -59,8 +59,8 @@ def train_randomly(env):
     ],
 )
 def test_the_code_of_a_page_runs(name, request, tmp_path, monkeypatch):
-    """Its examples one after another, as a reader would type them, but with shorter trainings; a
-    random agent stands for the reader's."""
+    """The examples run one after another, as a reader would type them, with shorter trainings; a
+    random agent stands for the reader's training."""
     if name in DRAWING:
         request.getfixturevalue("opengl")
     monkeypatch.chdir(tmp_path)
@@ -82,7 +82,7 @@ def recorded():
 
 
 def commands():
-    """Page and words of every `circle2d` and `make` command that is shown."""
+    """Yield the page and the words of every `circle2d` and `make` command that is shown."""
     for name, text in TEXTS.items():
         lines = text.replace("\\\n", " ")
         shown = re.findall(r"^((?:circle2d|make) .*)$", lines, re.MULTILINE)
@@ -91,7 +91,7 @@ def commands():
 
 
 def options_of(command, words):
-    """Every option that a command has; of `train` those of the algorithm that follows."""
+    """Return the options of a command; those of `train` and `grid` include the algorithms'."""
     module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
     fields = list(dataclasses.fields(getattr(module, f"{command.capitalize()}Options")))
     for name in {"train": words[2:3], "grid": words[2:]}.get(command, ()):
@@ -132,7 +132,7 @@ def test_every_command_is_in_the_table_of_commands():
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_links_lead_somewhere(name):
-    """In a clone, where nothing is made yet, to files; addresses are well formed."""
+    """Relative links lead to files of a fresh clone; addresses are well formed."""
     for target in links(TEXTS[name]):
         if re.match(r"[a-z]+:", target):
             address = urlparse(target)
@@ -144,7 +144,7 @@ def test_links_lead_somewhere(name):
 
 
 def links(text):
-    """The targets of links, without those within a page."""
+    """Return the targets of links, without those within a page."""
     plain = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
     found = [of.partition("#")[0] for of in re.findall(r"\]\(<?([^)<>\s]+)>?\)", plain)]
     return [target for target in found if target]
@@ -152,7 +152,7 @@ def links(text):
 
 @pytest.fixture(scope="module")
 def made_pages():
-    """Name -> text; making them takes seconds."""
+    """Return name -> text of the generated pages; making them takes seconds."""
     import made
 
     return made.pages()
@@ -160,7 +160,7 @@ def made_pages():
 
 @pytest.mark.parametrize("name", [name for name in TEXTS if name.startswith("docs/")])
 def test_links_of_the_site_lead_to_its_pages(name, made_pages):
-    """Not to a text that lies outside the site, nor to the source of one of its pages."""
+    """They lead neither to texts outside the site nor to the source of a page."""
     import made
 
     assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
@@ -175,15 +175,15 @@ def test_links_of_the_site_lead_to_its_pages(name, made_pages):
 
 
 def prose(path):
-    """How many words stand outside of code, tables and the targets of links."""
+    """Return the number of words outside of code, tables and targets of links."""
     left_out = r"```[\s\S]*?```|^\|.*$|</?\w[^>]*>|(?<=\])\([^)]*\)"
     text = re.sub(left_out, "", path.read_text(), flags=re.MULTILINE)
     return sum(bool(re.search("[A-Za-z]", word)) for word in text.split())
 
 
 def test_the_pages_stay_short():
-    """A first screen, results that are read to their end, and no page too many; the changelog,
-    which grows by nature, is not counted."""
+    """The README, each page of results, and all pages together have a limit; the changelog, which
+    has to grow, does not count."""
     assert len(README.splitlines()) <= 105
     results = sorted((ROOT / "results").rglob("README.md"))
     for page in results:
@@ -241,7 +241,7 @@ def test_every_task_has_a_page_with_its_own_numbers(made_pages):
 
 
 def test_the_rows_of_a_table_have_the_cells_of_its_head(made_pages):
-    """Markdown drops what is behind a further bar, as in a cell with |a|."""
+    """Markdown drops text after an additional bar, as in a cell with |a|."""
     every = "\n\n".join([*TEXTS.values(), *made_pages.values()])
     tables = re.findall(r"(?:^\|.*\n)+", every, re.M)
     assert len(tables) > 100
@@ -267,7 +267,7 @@ def test_every_public_name_has_an_entry():
 
 
 def test_the_notebook_runs():
-    """Two agents of one cost rate, whose EMCC differs as its text says; and its figure."""
+    """Its two agents have equal cost rates and the EMCC that its text says; it draws a figure."""
     import notebook
 
     here = os.getcwd()

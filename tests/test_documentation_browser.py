@@ -1,4 +1,4 @@
-"""The documentation in a browser, opened from the disk: nothing fails, overflows or shuts out."""
+"""The documentation in a browser, opened from the disk: no errors, no overflow, accessible."""
 
 import shutil
 import subprocess
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The site, built beside the repository, so that other tests find that unchanged."""
+    """The site, built from a copy, so that the repository stays unchanged for other tests."""
     pytest.importorskip("furo")
     folder = tmp_path_factory.mktemp("repository")
     for path in ROOT.iterdir():
@@ -31,7 +31,7 @@ def site(tmp_path_factory):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 400])
 def test_pages_in_a_browser(opened_page, site, width, scheme):
-    """No error, nothing fetched, no overflow, no serious finding of axe, pictures with a text."""
+    """No error, nothing fetched, no overflow, no broken picture, no serious violation by axe."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     serious = []
     for name in PAGES:

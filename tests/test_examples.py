@@ -1,4 +1,4 @@
-"""The examples run, print a panel, and stay short."""
+"""The examples run and print a panel."""
 
 import importlib.util
 import os
@@ -25,7 +25,7 @@ NEEDED = {
     "with_torchrl.py": ("torchrl",),
     "with_wandb.py": ("wandb",),
 }
-"""Libraries that an example imports, or that it needs to run."""
+"""Libraries that each example needs."""
 
 
 def test_every_example_is_listed():
@@ -33,7 +33,7 @@ def test_every_example_is_listed():
 
 
 @pytest.mark.parametrize("name", NEEDED)
-def test_it_runs(name, tmp_path):
+def test_an_example_runs(name, tmp_path):
     for module in NEEDED[name]:
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"needs {module}")
@@ -48,7 +48,7 @@ def test_it_runs(name, tmp_path):
 
 
 def test_a_thicker_wall(monkeypatch):
-    """2.5 + 1.1 between cut-outs and corridor; SAC-LB has the same settings as without it."""
+    """The wall between cut-outs and corridor is 2.5 + 1.1 thick; SAC-LB keeps its preset."""
     monkeypatch.syspath_prepend(FOLDER)
     importlib.import_module("thick_wall")
     name = "Circle2DThickWall-3-v0"
@@ -64,7 +64,7 @@ def test_a_thicker_wall(monkeypatch):
 
 
 def test_a_task_from_the_suites_parts(monkeypatch):
-    """A penalty for each step; the native vector environment and a view of distances."""
+    """It has a penalty for each step, a native vector environment and a view of distances."""
     monkeypatch.syspath_prepend(FOLDER)
     importlib.import_module("my_suite_task")
     name = "SafetyCarGauntlet-v0"
@@ -81,7 +81,7 @@ def test_a_task_from_the_suites_parts(monkeypatch):
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("slurm/*.sbatch")), ids=lambda path: path.name)
-def test_batch_scripts(path):
+def test_batch_scripts_have_no_findings_of_shellcheck(path):
     subprocess.run(["bash", "-n", path], check=True)
     where = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     shellcheck = shutil.which("shellcheck", path=where)

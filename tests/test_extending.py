@@ -1,4 +1,4 @@
-"""The files and commands of the page on an algorithm, task, measure and study of one's own."""
+"""The files and commands of docs/extending.md: users' own algorithms, tasks, measures, studies."""
 
 import importlib.util
 import json
@@ -32,7 +32,7 @@ PAGE = (ROOT / "docs" / "extending.md").read_text()
 
 
 def circle2d(folder, *args, status=0):
-    """Run a command in a process of its own, which knows nothing of the user's yet."""
+    """Run a command in a forked process, in which nothing of the user's is registered yet."""
 
     def command():
         os.chdir(folder)
@@ -48,7 +48,7 @@ def circle2d(folder, *args, status=0):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with the page's files, outside the package."""
+    """A folder outside the package with the page's files."""
     for name, code in re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", PAGE, re.DOTALL):
         (tmp_path / name).write_text(code)
     for path in (ROOT / "examples").glob("my_*.py"):
@@ -63,18 +63,18 @@ ALGORITHMS = {
     "my_learner": ("reinforce-state", "REINFORCE-State", "std 0.3", "Standard deviation"),
     "my_law": ("sac-mw", "SAC-MW", "gain 0.002", "Growth of the multiplier's logarithm"),
 }
-"""Module -> name, title, its hyper-parameter as the command sets it, and the text of that."""
+"""Module -> name, title, hyper-parameter as the page's command sets it, and its help."""
 
 
 def command_of(module):
-    """The page's command for a module, into the folder `runs`."""
+    """Return the page's command for a module, with the folder `runs`."""
     page = PAGE.replace("\\\n", " ")
     (line,) = re.findall(rf"^circle2d (train \S+ --import {module} .*)$", page, re.MULTILINE)
     return re.sub(r"runs/\w+", "runs", line).split()
 
 
 def trained(folder, module):
-    """Train by the page's command for a module; its help and the table name what it adds."""
+    """Train with the page's command for a module; the help and the table show what it adds."""
     name, title, changed, said = ALGORITHMS[module]
     done = circle2d(folder, *command_of(module), "--seeds", "0", "--steps", "1100")
     assert re.search(rf"{title} \({re.escape(changed)}\), mean of 1", done.out)
@@ -85,13 +85,13 @@ def trained(folder, module):
 
 
 @pytest.mark.parametrize("module", ["my_trpo", "my_law", "my_quantiles", "my_learner"])
-def test_another_family_and_another_law(folder, module):
+def test_algorithms_of_other_families_and_another_multiplier_law(folder, module):
     trained(folder, module)
 
 
 @pytest.fixture
 def example(monkeypatch):
-    """A function of a module of the examples, whose algorithm is known meanwhile."""
+    """A function that loads an example; its algorithm is registered for one test."""
     for name in ("registered", "modules"):
         monkeypatch.setattr(_algorithms, name, getattr(_algorithms, name).copy())
 
@@ -106,7 +106,8 @@ def example(monkeypatch):
 
 
 def test_quantiles_by_hand(example):
-    """Sums of the pinball of Huber's loss over pairs of output and target; the worst quarter."""
+    """The quantile Huber loss, summed over pairs of output and target by a plain loop; the risk is
+    the mean of the worst quarter."""
     own, rng = example("my_quantiles"), np.random.default_rng(0)
     config = own.SACQuantileConfig(cost_critics=8, discount=0.9)
     values, after = rng.normal(0, 2, (2, 2, 8, 3))
@@ -126,9 +127,10 @@ def test_quantiles_by_hand(example):
     np.testing.assert_allclose(own.risk(config, torch.tensor(values)), worst)
 
 
-def test_a_learner_of_ones_own_finds_the_constrained_optimum(tmp_path, example):
-    """In one step, reward -(a - 0.8)², cost (1 + a) / 2 limited to 0.6: a = 0.2 at λ = 2.4. It goes
-    on bit for bit after an interruption, and no run depends on the others."""
+def test_a_users_learner_finds_the_constrained_optimum(tmp_path, example):
+    """Episodes have one step, with the reward -(a - 0.8)² and the cost (1 + a) / 2, limited to 0.6:
+    the optimum is a = 0.2 at λ = 2.4. The training goes on bit for bit after an interruption, and
+    no run depends on the others."""
     example("my_learner")
     how = {"steps": 12_000, "cost_limit": 0.6, "multiplier_lr": 0.1, "learning_rate": 0.01}
     how |= {"std": 0.3, "episodes": 20, "evaluation_episodes": 2}
@@ -155,8 +157,8 @@ def test_a_learner_of_ones_own_finds_the_constrained_optimum(tmp_path, example):
 
 
 def test_two_limits_on_two_costs(folder):
-    """Both costs are in the table; how their multipliers move: test_two_limits.py. Where the agents
-    were is shown once, with the first cost."""
+    """Both costs are in the table; the replay of visited states is shown once, with the first cost.
+    test_two_limits.py checks the multipliers."""
     done = circle2d(folder, *command_of("my_limits"), "--seeds", "0", "--steps", "1100")
     assert len(re.findall(r"PPO-Two \(.*cost_2.*\), mean of 1", done.out)) == 1
     updates = agents.load_runs(folder / "runs").to_pandas("updates")
@@ -169,7 +171,7 @@ def test_two_limits_on_two_costs(folder):
 
 
 def test_a_number_comes_to_its_cell_as_the_page_says(tmp_path):
-    """Its functions are called in its order, from a training to the table."""
+    """The functions that the page lists are called in its order, from a training to the table."""
     listed = PAGE[PAGE.index("reaches its cell") : PAGE.index("## A study")]
     named = re.findall(r"`([\w/]+\.py)`,\s+`([\w.]+)`", listed)
     assert len(named) == listed.count(".py`") - 1  # that of archives has no function
@@ -188,13 +190,13 @@ def test_a_number_comes_to_its_cell_as_the_page_says(tmp_path):
         sys.setprofile(None)
     calls = iter(called)
     for step in named:
-        assert step in calls, f"{step} is not called behind the one before it"
+        assert step in calls, f"{step} is not called after the one before it"
     assert "EMCC_0.33" in (tmp_path / "runs/report.md").read_text()
 
 
-def test_a_study_of_the_users_own(folder):
-    """The page's, for CPO in the place of the page's algorithm, is in what every command writes,
-    and none needs the paper's, which cannot be imported here."""
+def test_a_users_study(folder):
+    """The page's study, with CPO as its algorithm, is in the output of every command. No command
+    needs the paper's study, which cannot be imported here."""
     write_evaluated(folder / "runs/a", "cpo", costs=(1, 2))
     write_evaluated(folder / "runs/b", "trpo-lag", costs=(3, 3))
     own = folder / "my_study.py"
@@ -224,8 +226,8 @@ def test_a_study_of_the_users_own(folder):
     assert "svg" in figure and "A dot for each run.</figcaption>" in figure
 
 
-def test_a_study_in_the_place_of_the_papers(tmp_path, monkeypatch):
-    """In Python too, where a report may still be given another."""
+def test_use_study_replaces_the_papers(tmp_path, monkeypatch):
+    """A report can still be given another study."""
     write_evaluated(tmp_path, "cpo", costs=(1, 2))
     runs = agents.load_runs(tmp_path)
     monkeypatch.setattr(studies, "_used", None)
@@ -238,7 +240,7 @@ def test_a_study_in_the_place_of_the_papers(tmp_path, monkeypatch):
 
 
 def test_a_study_that_fails_is_named(folder):
-    """In one line, below its traceback; the training was done before."""
+    """One line below the traceback names it; a training is saved before."""
     code = "import agents\nfrom agents.reporting.study import Study\n\n\nclass Bad(Study):\n"
     code += "    def notes(self, groups):\n        return 1 / 0\n\n\nagents.use_study(Bad())\n"
     (folder / "my_bad.py").write_text(code)
@@ -254,8 +256,9 @@ def test_a_study_that_fails_is_named(folder):
 
 
 @pytest.mark.slow
-def test_an_algorithm_of_the_users_own(folder):
-    """Trains by the page's command, resumes, is evaluated, reported and explained."""
+def test_a_users_algorithm(folder):
+    """It trains with the page's command, resumes, is evaluated and reported; the report has its
+    command."""
     trained(folder, "my_algorithm")
     done = circle2d(folder, "resume", "runs", status=2)
     assert done.err.count("\n") == 1
@@ -271,7 +274,7 @@ def test_an_algorithm_of_the_users_own(folder):
 
 @pytest.mark.slow
 def test_a_task_from_the_suites_parts(folder):
-    """Trains by the page's command, one episode an epoch, and is drawn."""
+    """It trains with the page's command, one episode per epoch, and is drawn."""
     train = [*command_of("my_suite_task"), "--seeds", "0", "--steps", "1200", "--episodes", "1"]
     train += ["--evaluation-episodes", "2"]
     assert "PPO-Lag" in circle2d(folder, *train).out
@@ -284,8 +287,8 @@ def test_a_task_from_the_suites_parts(folder):
 
 
 @pytest.mark.slow
-def test_a_task_and_a_measure_of_the_users_own(folder):
-    """The page's task trains by the page's command, and its measure is a column of the report."""
+def test_a_users_task_and_measure(folder):
+    """The task trains with the page's command; the measure is a column of the report."""
     train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]
     assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0").out
     shown = re.findall(r"circle2d ((?:heatmap|render) .*)", PAGE)

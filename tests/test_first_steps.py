@@ -1,4 +1,4 @@
-"""The four paths of docs/first_steps.md, block after block as a reader copies them, but shorter."""
+"""The four paths of docs/first_steps.md, block after block as a reader copies them, shortened."""
 
 import os
 import re
@@ -20,7 +20,7 @@ SHORT = (
 
 
 @pytest.mark.slow
-def test_its_blocks_run(opengl, tmp_path, monkeypatch):
+def test_the_blocks_of_the_page_run(opengl, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(
         "PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])

@@ -1,4 +1,4 @@
-"""The wheel in environments of its own: the base alone, and the lowest versions it allows."""
+"""The wheel in new environments: without extras, with the drop-in, and with the lowest versions."""
 
 import os
 import re
@@ -53,6 +53,7 @@ mujoco.MjModel.from_xml_path(str(package / "assets" / "xml" / "circle2d.xml"))
 
 
 def run(folder, *command, status=0):
+    """Run a command, which must end with this status."""
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == status, f"{command}\n{done.stdout}\n{done.stderr}"
@@ -60,7 +61,7 @@ def run(folder, *command, status=0):
 
 
 def install(folder, *what):
-    """A new environment, `venv` in the folder, with these packages."""
+    """Make a new environment, `venv` in the folder, with these packages."""
     run(folder, sys.executable, "-m", "venv", "venv")
     pip = ("venv/bin/python", "-m", "pip", "install", "--quiet", "--no-compile")
     run(folder, *pip, *map(str, what))
@@ -76,8 +77,8 @@ def wheel(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_base_alone(wheel, tmp_path):
-    """Environments and metric work; a training command says in one line what to install."""
+def test_without_extras(wheel, tmp_path):
+    """Environments and metric work; commands that need more say in one line what to install."""
     install(tmp_path, "-c", PINS, wheel)
     run(tmp_path, "venv/bin/python", "-c", BASE)
     assert "EMCC" in run(tmp_path, "venv/bin/python", "-m", "emcc", "costs.npy").stdout
@@ -93,7 +94,7 @@ def test_the_base_alone(wheel, tmp_path):
 
 @pytest.mark.slow
 def test_the_name_safety_gymnasium(wheel, tmp_path):
-    """The distribution that holds it alone, as programs and installers see it."""
+    """The drop-in distribution, as programs and installers see it."""
     install(tmp_path, "-c", PINS, wheel, ROOT / "circle2d_mj" / "safety_gymnasium" / "drop_in")
     code = """
 import importlib.metadata
@@ -113,8 +114,8 @@ assert len(env.step(env.action_space.sample())) == 6
 
 
 def lowest():
-    """The lowest versions that pyproject.toml allows, as constraints; torch's is the tested one,
-    since any other fetches gigabytes."""
+    """Return the lowest versions that pyproject.toml allows, as constraints; torch has the tested
+    version, since any other would download gigabytes."""
     needed = [*PROJECT["dependencies"], *EXTRAS["train"], *EXTRAS["tensorboard"]]
     bounds = [re.fullmatch(r"([\w-]+)(?:\[\w+\])?>=([\d.]+)", text) for text in needed]
     pins = {bound[1]: f"{bound[1]}=={bound[2]}" for bound in bounds if bound}
@@ -152,7 +153,7 @@ def test_the_lowest_versions(wheel, tmp_path, opengl):
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", sorted(EXTRAS))
 def test_an_extra_can_be_resolved(extra, tmp_path):
-    """With the versions that were tested together; tianshou needs older ones."""
+    """With the tested versions, except tianshou, which needs older ones."""
     pins = () if extra == "tianshou" else ("-c", str(PINS))
     pip = (sys.executable, "-m", "pip", "install", "--dry-run", "--quiet", "--ignore-installed")
     run(tmp_path, *pip, *pins, f"{ROOT}[{extra}]")

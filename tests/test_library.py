@@ -1,4 +1,5 @@
-"""The examples of the paper group's CPO and SAC-Lag, beside CPO and SAC-Lag themselves."""
+"""The examples library_cpo and library_sac_lag, which follow the paper group's library, compared
+with CPO and SAC-Lag."""
 
 import numpy as np
 import pytest
@@ -12,16 +13,16 @@ from agents.trust_region import Problem, conjugate_gradient
 
 
 def problem(gradient, cost_gradient, excess):
-    """With the identity as Hessian, and δ = 0.01."""
+    """Return a problem with the identity as Hessian and δ = 0.01."""
     gradient, b = torch.tensor([gradient]), torch.tensor([cost_gradient])
     solve = lambda v: conjugate_gradient(lambda x: x, v, 2)  # noqa: E731
     return Problem(gradient, lambda: b, torch.tensor([excess]), lambda v: v, solve, 0.01)
 
 
-def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library):
+def test_above_the_limit_the_librarys_cpo_may_increase_the_cost(library):
     """g = (.6, .8), b = (1, 0), c = .05: q = 1, r = .6, s = 1, so that the branches of the dual are
-    worth -.162 (λ = 12) and -.141 (λ = √50). ν = .05 √50 - .6 < 0, so the step is g / √50 and the
-    predicted cost grows, where CPO goes back to the limit."""
+    -.162 (λ = 12) and -.141 (λ = √50). ν = .05 √50 - .6 < 0, so the step is g / √50, and the
+    predicted cost grows; CPO's step goes back to the limit."""
     found = problem([0.6, 0.8], [1.0, 0.0], 0.05)
     its = library.cpo.step(library.cpo.LibraryCPOConfig(), found)
     assert its.case.tolist() == [library.cpo.BROKEN]
@@ -31,17 +32,17 @@ def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library):
     assert ours[0, 0].item() == pytest.approx(-0.05, abs=1e-5)
 
 
-def test_a_short_gradient_is_not_followed(library):
-    """Its squared norm, .05, is below the residual at which its conjugate gradients stop."""
+def test_the_librarys_cpo_does_not_follow_a_short_gradient(library):
+    """The squared norm, .05, is below the residual at which its conjugate gradients stop."""
     config, nothing = library.cpo.LibraryCPOConfig(), problem([0.1, 0.2], [0.0, 0.0], -1.0)
     assert library.cpo.solve(config, nothing, torch.tensor([[0.1, 0.2]])).abs().max() < 2e-4
     longer = torch.tensor([[0.3, 0.2]])
     torch.testing.assert_close(library.cpo.solve(config, nothing, longer), longer)
 
 
-def test_the_multiplier_follows_the_actions_of_the_replay(library):
-    """With a limit between the cost critics' values at the replay's action, (1, 1), and at the
-    policy's, (0, 0), SAC-Lag's multiplier goes to the one side and this to the other."""
+def test_the_librarys_multiplier_uses_the_actions_of_the_replay(library):
+    """The limit lies between the cost critics' values at the replay's action, (1, 1), and at the
+    policy's, (0, 0): SAC-Lag's multiplier and the library's move in opposite directions."""
     config = sac_lag.SACLagConfig(learning_rate=1e-9)
     nets = sac.make_nets(config, 2, 2, 1)
     state = sac.initial_state(nets, config, sac_lag.RULE, [0])

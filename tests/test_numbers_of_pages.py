@@ -1,4 +1,5 @@
-"""Tables of the pages of results/ and of docs/metric.md are those of the reports and of `emcc`."""
+"""Numbers on the pages of results/, docs/metric.md and the README are those of the published runs
+and of `emcc`."""
 
 import csv
 import io
@@ -58,7 +59,7 @@ def test_the_published_archives_give_the_published_numbers(folder, library):
     found = io.StringIO(numbers_csv(report_lines([*map(evidence.printed, groups)])))
     with (published / "report.csv").open() as expected:
         for row, known in zip(csv.DictReader(found), csv.DictReader(expected), strict=True):
-            if not known["share"]:  # written before the lines of means told their seeds
+            if not known["share"]:  # older reports have no seeds in the rows of means
                 known["seeds"] = row["seeds"]
             assert row.keys() == known.keys()
             for name, cell in known.items():
@@ -66,7 +67,7 @@ def test_the_published_archives_give_the_published_numbers(folder, library):
 
 
 def near(cell, other):
-    """Equal up to rounding: the published intervals are of before scipy's."""
+    """Return True if equal up to rounding: published intervals are older than those by SciPy."""
     return float(cell) == pytest.approx(float(other), rel=1e-9, abs=1e-12)
 
 
@@ -76,13 +77,13 @@ PAGES = results_table.PAGES | {"omnisafe/README.md": (omnisafe_parity.omnisafe,)
 @pytest.mark.parametrize(
     ("name", "table"),
     [
-        # The forces of all steps are 22 MB that LZMA packed.
+        # Unpacking the forces of all steps, 22 MB in LZMA, is slow.
         pytest.param(name, table, marks=[pytest.mark.slow] * (table is results_table.forces))
         for name, tables in PAGES.items()
         for table in tables
     ],
 )
-def test_the_tables(name, table):
+def test_the_rows_of_a_table_are_on_its_page(name, table):
     rows = table()
     assert rows
     text = page(f"results/{name}")
@@ -90,12 +91,12 @@ def test_the_tables(name, table):
 
 
 VERDICT = re.compile(r"\*\*([\w ]+?)( †)?(?: \(parts: (.*)\))?\*\*$", re.M)
-"""Verdict, mark and parts, in the heading of a claim."""
+"""Verdict, mark and parts in the section of a claim."""
 
 
 def test_the_verdicts():
-    """Verdicts, parts, those with bootstrap, and every number of a row, which its claim's section
-    has."""
+    """Verdicts, numbers of parts, verdicts with bootstrap, and every number of a row are in the
+    section of its claim."""
     report = page("results/circle2d/report.md")
     columns = r"([\w ]+?)( †)? \| (\d) of (\d) \| (.*) \| ([\w ]*?) ?\|$"
     rows = re.findall(rf"^\| (\d)\. [^|]* \| {columns}", page("results/README.md"), re.M)
@@ -120,14 +121,15 @@ def test_the_verdicts():
 
 
 @pytest.mark.parametrize("name", results_pages.PAGES)
-def test_pages_made_again_do_not_differ(name):
+def test_generated_pages_are_up_to_date(name):
     """`python docs/_ext/results_pages.py` writes them."""
     assert results_pages.made(name) == page(f"results/{name}/README.md")
 
 
 @pytest.mark.slow
 def test_ties_and_windows():
-    """No verdict hangs on ties; windows of ten and single episodes in place of rollouts."""
+    """No verdict depends on ties; the table of docs/metric.md with windows of one and ten episodes
+    in place of rollouts."""
     own = read_groups([RESULTS / "circle2d" / name for name in SOURCES["circle2d"]], [])
     kept = [replace(of, runs=[_with_all_ties(run) for run in of.runs]) for of in own]
     verdicts = [
@@ -148,8 +150,8 @@ def test_ties_and_windows():
 
 
 def test_the_example_of_the_first_page():
-    """The numbers of its two algorithms are the published runs', of which the better and the worse
-    do not overlap, and whose costs at the end do."""
+    """The numbers of its two algorithms are those of the published runs. The runs of the better do
+    not overlap those of the worse in any of the measures, except in the final cost."""
     runs: dict[str, list[dict[str, str]]] = {}
     with (RESULTS / "baselines" / "safety" / "report.csv").open() as lines:
         for row in csv.DictReader(lines):
@@ -178,7 +180,6 @@ def test_the_example_of_the_first_page():
 
 
 def test_the_example_of_ties():
-    """`emcc` itself is held to the definition in tests/emcc."""
     metric = page("docs/metric.md")
     rows = re.findall(r"^\| (\d+) \| (\.\d+) \| (\.\d+) \|$", metric, re.M)
     assert [int(safe) for safe, *_ in rows] == [89, 90, 91]

@@ -1,4 +1,4 @@
-"""Measures and verdicts of results/omnisafe, from episodes that are counted by hand."""
+"""Measures and verdicts of results/omnisafe, from episodes whose measures are known by hand."""
 
 import numpy as np
 import omnisafe_parity
@@ -14,9 +14,9 @@ def records(tmp_path, monkeypatch):
 
 
 def test_measures_of_recorded_steps(tmp_path, records, monkeypatch):
-    """Forty episodes of two steps, ten an epoch. Each costs 1 in its first step, those of the last
-    epoch in both; returns are 0, 1, ..., 39. The last tenth is four episodes. Rollouts start at
-    steps 0, 20, 40 and 60 of 80, so that the thirds hold the first two, the third, the fourth."""
+    """Forty episodes of two steps, ten per epoch, with returns 0, 1, ..., 39. The first step costs
+    1, in the last epoch both do. The last tenth has four episodes. Rollouts start at steps 0, 20,
+    40 and 60 of 80: two in the first third, one in each of the others."""
     costs = np.ones((40, 2))
     costs[:30, 1] = 0
     rewards = np.stack((np.arange(40.0), np.zeros(40)), axis=1)
