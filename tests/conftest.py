@@ -12,6 +12,7 @@ from hypothesis import settings
 # The same examples each time, however slow the machine: a failure can be seen again.
 settings.register_profile("suite", deadline=None, derandomize=True)
 settings.load_profile("suite")
+pytest.register_assert_rewrite("scripted")  # its `follow` asserts for two files of tests
 
 
 @pytest.fixture(scope="session")
