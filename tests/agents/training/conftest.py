@@ -1,4 +1,4 @@
-"""Tests of training: its tasks."""
+"""Register the toy tasks for the tests of training."""
 
 import toys
 

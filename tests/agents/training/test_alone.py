@@ -1,4 +1,4 @@
-"""A run is what it is alone, whatever trains beside it; equal trainings leave equal bytes."""
+"""A run gives the same bits alone and beside others; equal trainings write equal bytes."""
 
 import gymnasium as gym
 import numpy as np
@@ -21,7 +21,7 @@ from agents.training.config import RunId, TrainConfig
 OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
 FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "sac-lb": SAC}
 AT_SIZE = {"sac-lb": {"hidden": (64, 64), "batch_size": 256, "steps": 300}}
-"""Twenty runs of it may have other kernels than one: see below."""
+"""Sizes at which computing twenty runs at once could round otherwise than computing one."""
 TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
 PHYSICS = ("Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0")
 
@@ -47,7 +47,7 @@ def assert_as_alone(together, alone, run):
 
 
 @pytest.mark.parametrize("algorithm", FAMILIES)
-def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
+def test_a_run_among_several_tasks_and_seeds_is_what_it_is_alone(tmp_path, algorithm):
     tasks = PHYSICS if algorithm == "cpo" else TASKS
     own, seeds = AT_SIZE.get(algorithm, {}), range(3, 13 if algorithm in AT_SIZE else 5)
     together = trained(tmp_path / "all", algorithm, tasks, seeds, **own)
@@ -58,13 +58,13 @@ def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
     config = TrainConfig.read(together)
     assert [str(run) for run in config.runs] == [f"{t}, seed {s}" for t in tasks for s in seeds]
     starts = [run_of(together, run)["replay/drawn"].tolist() for run in config.runs]
-    # Tasks and seeds have random streams of their own.
+    # Each task and each seed has a random stream of its own.
     assert len(set(map(str, starts))) == len(starts)
 
 
 @pytest.mark.parametrize(("algorithm", "how"), [("trpo-lag", "sync"), ("sac-lb", "async")])
 def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algorithm, how):
-    """And their archives, written at other times."""
+    """So do their archives, written at different times."""
     more = {"steps": 300}
     ways = {"a": "auto", "b": "auto", "c": how}
     folders = [
@@ -84,8 +84,8 @@ def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algori
 
 
 def test_an_advantage_sees_its_own_steps_alone():
-    """However many more steps other runs have, the mean and the spread that a rule takes are those
-    of the run's own: by the docs' `x.mean(dim=-1)`."""
+    """A mean or standard deviation over the last dimension, as the docs write it, is of the run's
+    own steps, however many more steps the other runs have."""
     register_toys()
     seen, own = [], algorithm("ppo-lag")
 

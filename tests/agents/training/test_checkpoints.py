@@ -1,4 +1,4 @@
-"""When checkpoints are written; status and progress, by a clock made by hand."""
+"""When checkpoints are written, and what status and progress say, by a clock set by the test."""
 
 from types import SimpleNamespace
 
@@ -27,7 +27,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Whose `now` is the time."""
+    """A clock of training, whose time is its `now`."""
     own = Clock()
     for module in (callbacks, trainer):
         monkeypatch.setattr(module, "time", own)
@@ -36,7 +36,8 @@ def clock(monkeypatch):
 
 @pytest.mark.parametrize(("writing", "each"), [(0.0, 1), (1.0, 5), (0.25, 2)])
 def test_writing_takes_2_percent_of_the_time_at_most(tmp_path, monkeypatch, clock, writing, each):
-    """Epochs of 10 s, after each of which a checkpoint is due by steps; the last is written."""
+    """After each epoch, of 10 s, a checkpoint is due by steps; that of the last epoch is always
+    written."""
     saved, save = [], trainer.Trainer.save
 
     def slowly(it):
@@ -67,7 +68,8 @@ def test_writing_takes_2_percent_of_the_time_at_most(tmp_path, monkeypatch, cloc
     assert len(list((runs.folder / "steps").iterdir())) == len(saved)
 
 
-def reading(*steps, failed=(), folder=None):
+def trainer_at(*steps, failed=(), folder=None):
+    """Return a stand-in for a trainer whose runs have taken these steps."""
     failures = np.where(np.isin(np.arange(len(steps)), failed), "failed", "")
     config = TrainConfig("cpo", (TASK,), tuple(range(len(steps))), STEPS, preset("cpo", TASK))
     numbers = {"steps": np.array(steps), "failures": failures, "done": min(steps) >= STEPS}
@@ -77,24 +79,24 @@ def reading(*steps, failed=(), folder=None):
 
 
 def test_the_status_of_a_training(tmp_path, clock):
-    status = StatusFile(reading(0, 0, folder=tmp_path))
+    status = StatusFile(trainer_at(0, 0, folder=tmp_path))
     clock.now = 110.0
-    status(reading(100, 100))
+    status(trainer_at(100, 100))
     assert read_json(tmp_path / "status.json")["steps_per_second"] is None
     assert share_done(tmp_path) == 0.1
     clock.now = 120.0
-    status(reading(300, 300))
+    status(trainer_at(300, 300))
     assert speed(tmp_path) == (600 - 200) / 10
     clock.now = 120.9
-    status(reading(400, 400))  # less than a second after the last
+    status(trainer_at(400, 400))  # less than a second after the last one, so not written
     assert share_done(tmp_path) == 0.3
     clock.now = 130.0
-    status(reading(600, 410, failed=[1]))
+    status(trainer_at(600, 410, failed=[1]))
     assert share_done(tmp_path) == 0.6
     assert [one["seconds"] for one in sessions(tmp_path).values()] == [30.0]
-    later = StatusFile(reading(600, 410, folder=tmp_path))
+    later = StatusFile(trainer_at(600, 410, folder=tmp_path))
     clock.now = 141.0
-    later(reading(1000, 1000))
+    later(trainer_at(1000, 1000))
     assert [one["seconds"] for one in sessions(tmp_path).values()] == [30.0, 11.0]
     assert "torch" in [*sessions(tmp_path).values()][1]["versions"]
 
@@ -106,7 +108,7 @@ def test_the_status_of_a_training(tmp_path, clock):
         '{"share": 1.5, "steps_per_second": [1], "sessions": [1]}',
     ],
 )
-def test_a_status_of_another_form_says_nothing(tmp_path, content):
+def test_a_malformed_status_file_is_ignored(tmp_path, content):
     (tmp_path / "status.json").write_text(content)
     assert (share_done(tmp_path), speed(tmp_path), sessions(tmp_path)) == (0.0, None, {})
     write_status(tmp_path, 0.25, 34, one=3)
@@ -115,17 +117,17 @@ def test_a_status_of_another_form_says_nothing(tmp_path, content):
 
 
 def test_progress_by_a_clock(capsys, clock):
-    with show_progress(reading(0, 0).config) as on_epoch:
-        clock.now = 110.0  # the first epoch, of 100 steps of either run, takes 10 s
-        on_epoch(reading(100, 100))
-        clock.now = 115.0  # 200 more of each
-        on_epoch(reading(300, 300))
+    with show_progress(trainer_at(0, 0).config) as on_epoch:
+        clock.now = 110.0  # the first epoch, of 100 steps in each run, takes 10 s
+        on_epoch(trainer_at(100, 100))
+        clock.now = 115.0  # 200 more steps of each
+        on_epoch(trainer_at(300, 300))
         clock.now = 120.1
-        on_epoch(reading(304, 304))  # no new tenth
+        on_epoch(trainer_at(304, 304))  # no new tenth
         clock.now = 135.0
-        on_epoch(reading(900, 1000))  # 1300 more of both together, the slower one 600
+        on_epoch(trainer_at(900, 1000))  # 1300 more steps in both, 600 of the slower one
         clock.now = 140.0
-        on_epoch(reading(1000, 1000))
+        on_epoch(trainer_at(1000, 1000))
         clock.now = 152.0  # the evaluation
     told, recent = "cpo Circle2D-1-v0 x 2:", "return -4.00, cost 2.50"
     assert capsys.readouterr().err.splitlines() == [
@@ -138,7 +140,7 @@ def test_progress_by_a_clock(capsys, clock):
     ]
 
 
-def test_due_by_steps_too(tmp_path, clock):
+def test_checkpoints_are_not_more_frequent_than_their_steps(tmp_path, clock):
     def passes(epoch):
         clock.now += 10.0
 

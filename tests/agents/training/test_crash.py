@@ -1,7 +1,8 @@
-"""Trainings that end at any moment, by enumeration: of every operation on files, and every file.
+"""Trainings that are killed at any moment, or whose files are damaged, by enumeration.
 
-The operations of a small training are recorded. From every prefix of them a folder is made, with
-what was not flushed cut off, and the training goes on there: it must end as if never interrupted.
+The file operations of a small training are recorded. Every prefix of them, without what was not
+flushed, makes a folder in which the training is resumed: it must end as if never interrupted. Then
+every file of a folder is damaged in several ways.
 """
 
 import os
@@ -37,9 +38,9 @@ def config(algorithm="toy", **more):
 
 
 class Operations:
-    """Operations on the files of a folder, in order: (kind, path, content).
+    """The recorded operations on the files of a folder, in order: (kind, path, content).
 
-    A file counts as far as it was flushed when it got its name.
+    The content of a file is what had been flushed when it got its name.
     """
 
     def __init__(self, folder, patch):
@@ -78,8 +79,9 @@ class Operations:
             self.all.append((kind, str(Path(path).relative_to(self.folder)), content))
 
     def states(self, before):
-        """The files after every prefix, each once; files that are being written also torn. before:
-        the files at first; the value of a folder is None."""
+        """Yield the files after every prefix of the operations, each state once; files that are
+        being written also cut in half. before: the files at first, by path; a folder's value is
+        None."""
         now, seen = dict(before), set()
         for kind, path, content in [("mkdir", ".", None), *self.all]:
             versions = []
@@ -131,7 +133,7 @@ def assert_goes_on(folder, expected):
         train(folder)
     assert results(folder) == expected
     assert not list(folder.rglob("*unfinished*"))
-    assert len(list((folder / "checkpoints").iterdir())) <= 3  # of a kill before the oldest went
+    assert len(list((folder / "checkpoints").iterdir())) <= 3  # killed before one was removed
 
 
 CHOICES = {"toy": {}, "trpo-lag": TRPO, "sac-lag": SAC}
@@ -157,9 +159,9 @@ def test_every_prefix_of_the_operations_goes_on_to_the_same(tmp_path, algorithm,
 
 
 @pytest.mark.parametrize("damaged", ["checkpoints", "steps"])
-def test_a_training_that_goes_on_may_end_at_any_moment_too(tmp_path, damaged):
-    """It drops a checkpoint that is damaged, or whose steps are, and what was written behind the
-    one before."""
+def test_a_training_resumed_from_damaged_files_may_be_killed_at_any_moment_too(tmp_path, damaged):
+    """It drops a checkpoint that is damaged, or whose steps are, and everything written after the
+    checkpoint before it."""
     folder = tmp_path / "whole"
     config().write(folder)
     train(folder)
@@ -176,7 +178,7 @@ def test_a_training_that_goes_on_may_end_at_any_moment_too(tmp_path, damaged):
 
 @pytest.fixture(scope="module", params=["finished", "interrupted"])
 def left(request, tmp_path_factory):
-    """A folder, and the results to which it leads."""
+    """A folder, and the results of its finished training."""
     root = tmp_path_factory.mktemp("left")
     config().write(root / "whole")
     train(root / "whole")
@@ -206,7 +208,7 @@ DAMAGES |= {
 
 
 def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_path):
-    """And what reads the folder meanwhile gives no other number."""
+    """Nor do readers of the damaged folder see another number."""
     folder, expected = left
     whole = read_groups([folder], []) if (folder / "results.npz").exists() else []
     names = [n for n, c in files_of(folder).items() if c is not None and not n.endswith(".lock")]
@@ -229,12 +231,12 @@ def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_
                     continue
             found = results(copy)
             if name.startswith(("policies", "config", "checkpoints")) and name in expected:
-                found[name] = expected[name]  # looked at when they are loaded, or loaded as equal
+                found[name] = expected[name]  # not read here, or read as equal
             assert found == expected, (name, kind)
 
 
 def assert_reads_the_same(copy, expected):
-    """Or an error, or the run is left out with a note."""
+    """Assert that reading gives the expected groups, an error, or leaves the run out."""
     notes = []
     try:
         groups = read_groups([copy], notes)
@@ -248,7 +250,7 @@ def assert_reads_the_same(copy, expected):
     assert set(groups[0].seeds) | set(groups[0].missing) == {0, 1}
 
 
-def test_a_policy_on_the_way_that_is_damaged_is_named(tmp_path):
+def test_a_damaged_policy_from_during_training_is_named(tmp_path):
     config("trpo-lag", **TRPO).write(tmp_path / "x")
     train(tmp_path / "x")
     path = min((tmp_path / "x" / "policies").rglob("*.npz"))

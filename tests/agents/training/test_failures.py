@@ -1,4 +1,4 @@
-"""Errors of a task or an algorithm, with their place and cause; numbers that are not finite."""
+"""Failures of tasks, algorithms and callbacks: their place and cause, and which runs they end."""
 
 import contextlib
 import multiprocessing
@@ -34,7 +34,7 @@ def often():
 
 
 def line(function, words):
-    """The place of some words in the source of a class."""
+    """Return a pattern for the file and line of some words in a source file."""
     path = Path(function)
     [number] = [k for k, text in enumerate(path.read_text().splitlines(), 1) if words in text]
     return re.escape(f"({path}, line {number})")
@@ -61,8 +61,7 @@ RESETS = "failed in a reset: LookupError: .*" + line(toys.__file__, "door")
         ("negative", " gives a negative cost: -1 in step 10 of an episode", "sync"),
     ],
 )
-def test_a_task_that_fails(tmp_path, how, vectorization, words):
-    """Here each run does, in the same step."""
+def test_a_task_that_fails_in_every_run_is_named(tmp_path, how, vectorization, words):
     at = 40 if how == "reset" else 50
     parameters = {"how": how, "at": at}
     more = OPTIONS | SAC | {"task_parameters": parameters, "vectorization": vectorization}
@@ -89,7 +88,7 @@ NEGATIVE = "gives a negative cost: -1 in step"
     ],
 )
 def test_a_run_whose_task_fails_stops_alone(tmp_path, capsys, algorithm, how, words, vectorization):
-    """The others are what they are where nothing fails. It is named, and is not begun again."""
+    """The other runs do not change. The failed run is named, and `resume` does not restart it."""
     more = OPTIONS | (TRPO if algorithm == "cpo" else SAC) | {"seeds": (0, 1, 2, 3), "steps": 160}
     more["vectorization"] = vectorization
     healthy = agents.train(algorithm, "Walk-v0", **more).results[0]
@@ -123,7 +122,7 @@ def test_a_run_whose_task_fails_stops_alone(tmp_path, capsys, algorithm, how, wo
 
 
 def test_a_task_that_fails_in_the_evaluation_alone(tmp_path, capsys):
-    """The training is done, and each run's evaluation is named with its traceback."""
+    """The training ends, and each run's failed evaluation is named with its traceback."""
 
     class Late(toys.Walk):
         late = False
@@ -147,12 +146,11 @@ def test_a_task_that_fails_in_the_evaluation_alone(tmp_path, capsys):
 
 
 def exits(*args):
-    """Code of a user's own that ends the program as if all was done."""
+    """Stand in for a user's code that ends the program with status 0."""
     sys.exit(0)
 
 
-def test_an_exit_in_a_callback(tmp_path):
-    """The epoch is saved, and the training can go on."""
+def test_an_exit_in_a_callback_is_an_error_and_its_epoch_is_saved(tmp_path):
     with pytest.raises(OwnCodeError, match=r"SystemExit: 0 .*test_failures\.py, line") as raised:
         agents.train("cpo", "Walk-v0", out=tmp_path / "x", on_epoch=exits, **OPTIONS | TRPO)
     assert type(raised.value.__cause__) is SystemExit
@@ -160,7 +158,7 @@ def test_an_exit_in_a_callback(tmp_path):
     assert not (tmp_path / "x" / "results.npz").exists()
 
 
-def test_an_exit_in_a_module_or_a_policy(tmp_path, monkeypatch):
+def test_an_exit_in_a_users_module_or_policy_is_an_error(tmp_path, monkeypatch):
     (tmp_path / "exits.py").write_text("import sys\nsys.exit(0)\n")
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["resume", "--import", "exits", str(tmp_path)]) == 1
@@ -173,14 +171,14 @@ def test_an_exit_in_a_module_or_a_policy(tmp_path, monkeypatch):
     assert shown.value.code == 0
 
 
-def test_an_exit_while_options_are_read(monkeypatch, capsys):
-    """The config of an algorithm of one's own may exit: reading the options makes it."""
+def test_an_exit_while_options_are_read_is_an_error(monkeypatch, capsys):
+    """Reading the options constructs the config of a user-defined algorithm, which may exit."""
     monkeypatch.setattr("tyro.cli", lambda *args, **more: sys.exit("away"))
     assert main(["report", "runs"]) == 1
     assert re.search(r"SystemExit: away .*test_failures\.py, line", capsys.readouterr().err)
 
 
-def test_ctrl_c_in_a_task_is_no_failure_of_it(tmp_path):
+def test_ctrl_c_during_a_step_does_not_count_as_the_tasks_failure(tmp_path):
     class Stopped(toys.Walk):
         taken = 0
 
@@ -200,7 +198,7 @@ DIES, HANGS = "a process of its environments ended", "a process did not answer w
 
 
 @pytest.mark.parametrize(("how", "words"), [("die", DIES), ("hang", f"{HANGS}, 0.5 s")])
-def test_a_process_of_an_environment_that_fails(tmp_path, how, words):
+def test_an_environments_process_that_dies_or_hangs_ends_the_training(tmp_path, how, words):
     more = OPTIONS | TRPO | {"vectorization": "async", "step_timeout": 0.5}
     with pytest.raises(TaskFailure, match=f"'Broken-v0' failed in step 10 .*{words}"):
         more["task_parameters"] = {"how": how}
@@ -211,7 +209,7 @@ def test_a_process_of_an_environment_that_fails(tmp_path, how, words):
 @pytest.mark.parametrize("algorithm", ["cpo", "sac-lag", "ppo"])
 @pytest.mark.parametrize("name", ["reward", "cost"])
 def test_numbers_beyond_float32_end_their_run_alone(algorithm, name):
-    """As infinite ones do: networks learn in float32."""
+    """They are infinite in float32, in which networks learn."""
 
     class Huge(toys.Walk):
         def step(self, action):
@@ -232,8 +230,7 @@ def test_numbers_beyond_float32_end_their_run_alone(algorithm, name):
         assert re.match(f"{'|'.join(words)} not finite", why)
 
 
-def test_a_close_that_hangs_ends_in_time():
-    """As a step would; the process is ended."""
+def test_a_close_that_hangs_is_ended_after_the_step_timeout():
     here = os.getpid()
 
     class Hangs(toys.Walk):
@@ -254,8 +251,8 @@ def test_a_close_that_hangs_ends_in_time():
 
 
 @pytest.mark.parametrize("error", [RuntimeError("stuck"), SystemExit(0)])
-def test_a_close_that_raises_is_told(error, tmp_path):
-    """Nothing is lost by it: neither the training nor an evaluation."""
+def test_an_error_while_closing_is_a_warning(error, tmp_path):
+    """Neither the training nor an evaluation is lost."""
 
     class Stuck(toys.Walk):
         def close(self):
@@ -271,7 +268,7 @@ def test_a_close_that_raises_is_told(error, tmp_path):
 
 
 def test_a_task_that_cannot_be_made_in_its_process():
-    """In this one it can. The user's own line is told."""
+    """In this process it can. The error names the line of the user's code."""
     here = os.getpid()
 
     class Apart(toys.Walk):
@@ -306,7 +303,7 @@ def test_a_task_that_cannot_be_made_leaves_nothing(tmp_path, vectorization):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_task_that_fails_where_a_policy_is_evaluated():
+def test_a_task_that_fails_while_a_policy_is_evaluated():
     more = {"episodes": 2, "task_parameters": {"how": "raise", "at": 5}}
     words = r"'Broken-v0' failed in step 5 of an episode: Lookup"
     with pytest.raises(TaskFailure, match=words) as raised:
@@ -315,13 +312,13 @@ def test_a_task_that_fails_where_a_policy_is_evaluated():
 
 
 class Odd(Exception):
-    """It cannot be pickled."""
+    """An error that cannot be pickled."""
 
     def __init__(self, a, b):
         super().__init__(a)
 
 
-def test_an_error_of_one_s_own_keeps_its_cause_between_processes():
+def test_a_task_failure_keeps_its_cause_when_it_is_pickled():
     for cause in (LookupError("motor"), Odd("motor", 1)):
         try:
             raise TaskFailure("failed") from cause
@@ -330,10 +327,10 @@ def test_an_error_of_one_s_own_keeps_its_cause_between_processes():
         assert type(copy) is TaskFailure
         assert "motor" in str(copy.__cause__)
         assert (type(copy.__cause__) is LookupError) == isinstance(cause, LookupError)
-        assert "motor" in str(copy.__cause__.__cause__)  # the traceback of there
+        assert "motor" in str(copy.__cause__.__cause__)  # the traceback of the other process
 
 
-def test_arrays_of_other_shapes_from_a_vector_environment():
+def test_a_vector_environments_arrays_of_other_shapes_are_named():
     envs = make_envs("Broken-v0", 3, {})
     step = envs.unwrapped.step
     envs.unwrapped.step = lambda actions: (step(actions)[0], np.zeros(2), *step(actions)[2:])
@@ -350,7 +347,7 @@ def test_arrays_of_other_shapes_from_a_vector_environment():
         ("exit", "learns", "sys.exit"),
     ],
 )
-def test_an_algorithm_that_fails(tmp_path, wrong, does, words):
+def test_an_algorithm_that_raises_or_exits_is_named(tmp_path, wrong, does, words):
     with known():
         source = line(toy_family.__file__, words)
         error = SystemExit if wrong == "exit" else ZeroDivisionError
@@ -362,8 +359,8 @@ def test_an_algorithm_that_fails(tmp_path, wrong, does, words):
             agents.resume(tmp_path / "x")
 
 
-def test_an_algorithm_whose_numbers_fail(tmp_path):
-    """The one run it happens to is left out; the other one is what it is without that."""
+def test_an_algorithms_numbers_that_are_not_finite_end_their_run_alone(tmp_path):
+    """The failed run is left out, and the other one does not change."""
     more = OPTIONS | {"steps": 300}
     with known():
         runs = {"": agents.train("toy", "Walk-v0", **more)}
@@ -397,7 +394,7 @@ def test_an_evaluation_of_a_folder_leaves_failed_runs_out(tmp_path, capsys):
 
 
 def test_a_run_that_fails_right_after_a_checkpoint_keeps_its_episodes(tmp_path):
-    """Its first action there is none, so that no step is added; the numbers of files stay apart."""
+    """The first action after the checkpoint is NaN, so that no step is added to the file's."""
     with known(), pytest.raises(RunsFailed):
         more = OPTIONS | {"seeds": 0, "checkpoint_every": 1, "out": tmp_path / "x"}
         agents.train("toy", "Walk-v0", wrong="action", **more)
@@ -416,13 +413,13 @@ def test_where_every_run_failed(tmp_path):
     runs = agents.load_runs(tmp_path / "x")
     with pytest.raises(UserError, match=r"holds no complete runs; .*its reward is not finite"):
         _ = runs.results
-    # They failed in their first epoch: there is none of it, and no error.
+    # They failed in their first epoch, which leaves no records, and reading these is no error.
     assert {len(records) for records in runs.records.values()} == {0}
     assert [len(runs.to_pandas(rows)) for rows in ("episodes", "updates")] == [0, 0]
 
 
 def reduced(learner):
-    """The learner, whose runs share what they learn."""
+    """Return a learner's class whose runs share what they learn."""
 
     class Reduced(learner):
         def learn(self, *args):
@@ -438,7 +435,8 @@ def reduced(learner):
 
 
 @contextlib.contextmanager
-def two_families():
+def more_algorithms():
+    """Register algorithms that reduce over the runs, and some that do not."""
     from agents.algorithms.ppo_lag import ALGORITHM as ppo
     from agents.algorithms.sac_lag import ALGORITHM as sac
     from agents.algorithms.trpo_lag import ALGORITHM as trpo
@@ -469,7 +467,7 @@ def two_families():
 
 
 def test_an_error_names_no_decorator_as_its_place():
-    """numpy's and torch's, which stand around the learning, are of nobody who could mend it."""
+    """Frames of NumPy's and PyTorch's decorators around the learning are skipped."""
     own = agents.algorithms.algorithm("ppo-lag")
     gain = own._replace(rule=own.rule._replace(surrogates=(lambda c, p, r, b: r.mean(dim=-1),)))
     words = r"a surrogate must return two of .*/agents/first_order\.py, line \d+\)$"
@@ -481,9 +479,9 @@ def test_an_error_names_no_decorator_as_its_place():
     ("algorithm", "options"), [("toy", {"wrong": "reduce"}), ("sac-reduced", SAC), ("avg", SGD)]
 )
 def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, options):
-    """At the first update, which for SAC comes after some epochs, or at the second, before which
-    all runs have equal multipliers; in an algorithm of one's own."""
-    with two_families():
+    """In a user-defined algorithm, at its first update, which for SAC comes after some epochs, or
+    at the second, if runs differ only once their multipliers do."""
+    with more_algorithms():
         epochs = []
         more = OPTIONS | options | {"out": tmp_path / "x", "on_epoch": epochs.append}
         with pytest.raises(UserError, match=f"'{algorithm}' trains a run differently beside"):
@@ -492,17 +490,18 @@ def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, optio
         agents.train(algorithm, "Walk-v0", **OPTIONS | options | {"seeds": 0})
 
 
-def test_an_algorithm_of_one_s_own_that_does_not_trains(tmp_path):
-    class Unequal(Linear):
-        """Runs of one algorithm may differ by their seeds; an advantage sees one run alone."""
+def test_user_defined_algorithms_that_do_not_reduce_over_the_runs_train(tmp_path):
+    """An advantage may take a mean over the multipliers, since it sees one run at a time."""
 
-    with two_families(), known("unequal", Algorithm("Toy", Numbers, Rule(), Unequal)):
+    class Unequal(Linear):
+        """Runs may differ by their seeds."""
+
+    with more_algorithms(), known("unequal", Algorithm("Toy", Numbers, Rule(), Unequal)):
         for name, options in (("toy", {}), ("sac-own", SAC), ("unequal", {}), ("avg-own", SGD)):
             agents.train(name, "Walk-v0", **OPTIONS | options)
 
 
-def test_a_process_ends_with_its_parent():
-    """One that was forked for an environment, when its pipe breaks."""
+def test_an_environments_process_ends_when_its_pipe_breaks():
     envs = make_envs("Walk-v0", 1, {}, "async")
     envs.reset(seed=[1])
     [process] = envs.unwrapped.processes

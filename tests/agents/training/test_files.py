@@ -1,4 +1,4 @@
-"""Files of runs, whole or not at all; the lock of a folder; configurations."""
+"""Files of runs, which are written whole or not at all; the lock of a folder; configurations."""
 
 import builtins
 import dataclasses
@@ -31,7 +31,7 @@ TASK = "Circle2D-1-v0"
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_is_told_with_the_file(tmp_path):
-    """The system's own error names none: of two disks, which is full?"""
+    """The system's own error names no file, so that one could not see which disk is full."""
     with open("/dev/full", "wb", buffering=0) as full, pytest.raises(OSError) as bare:
         full.write(b"x")
     assert (bare.value.errno, bare.value.filename) == (errno.ENOSPC, None)
@@ -94,7 +94,7 @@ def test_every_flipped_bit_is_found_or_changes_nothing(tmp_path):
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EACCES, errno.EMFILE])
 def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, capsys, number):
-    """Nothing is deleted, and the next resume goes on as if nothing had been."""
+    """Nothing is deleted, and the next `resume` ends as if there had been no error."""
     more = TRPO | {"seeds": 0, "steps": 400, "checkpoint_every": 100}
     agents.train("cpo", TASK, out=tmp_path / "whole", **more)
     stops = more | {"on_epoch": lambda epoch: epoch.runs[0]["step"] < 250}
@@ -120,7 +120,7 @@ def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, capsys, number
 
 
 def failing_reads(patch, path, error):
-    """Reading a file raises an error."""
+    """Make opening a file raise an error."""
     usual = io.open
 
     def opens(file, *args, **kwargs):
@@ -133,7 +133,7 @@ def failing_reads(patch, path, error):
 
 
 def test_a_header_that_asks_for_too_much_is_damage(tmp_path):
-    """With a checksum of its own, so that only the size tells it from a lack of memory."""
+    """The checksum fits, so that only the size tells it apart from a lack of memory."""
     content = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (2**40,)}
     np.lib.format.write_array_header_1_0(content, header)
@@ -188,7 +188,7 @@ def hold(folder, how="with"):
 
 @pytest.mark.parametrize("how", ["with", "without"])
 def test_a_lock_with_and_without_fcntl(tmp_path, how):
-    """A second process is refused; a killed one holds nothing."""
+    """A second process is refused; a killed process holds no lock."""
     first, held = hold(tmp_path, how)
     assert held
     second, held = hold(tmp_path, how)
@@ -202,7 +202,7 @@ def test_a_lock_with_and_without_fcntl(tmp_path, how):
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_file_system_without_locks(tmp_path, monkeypatch, number):
+def test_a_file_system_without_locks_is_refused(tmp_path, monkeypatch, number):
     def fails(*args):
         raise OSError(number, os.strerror(number))
 
@@ -214,7 +214,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch, number):
 
 
 def test_a_task_that_changes_the_current_folder(tmp_path, monkeypatch):
-    """Folders given relative to it stay where they were."""
+    """Relative paths of folders keep referring to the folder of the command."""
     (tmp_path / "other").mkdir()
 
     class Elsewhere(Walk):
@@ -234,7 +234,8 @@ def test_a_task_that_changes_the_current_folder(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_is_being_trained_is_said_to_be(tmp_path):
-    """Where a second one would go on; one that holds runs says how to; neither is touched."""
+    """Where a second process would resume it. A folder that holds runs already says how to resume
+    them. Neither is changed."""
     more = TRPO | {"seeds": 0, "steps": 50, "out": tmp_path / "x"}
     agents.train("cpo", TASK, **more)
     before = results(tmp_path / "x")
@@ -257,7 +258,7 @@ def edit(folder, **changes):
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
-def test_it_is_read_as_it_was_written(tmp_path):
+def test_a_configuration_is_read_as_it_was_written(tmp_path):
     several = dataclasses.replace(config(), tasks=(TASK, "Circle2D-2-v0"), seeds=(3, 1))
     more = {"snapshots": config(evaluate_every=50), "timeout": config(step_timeout=2.0)}
     more |= {"several": several, "costs": config(costs=("cost", "cost_2"))}
@@ -268,7 +269,7 @@ def test_it_is_read_as_it_was_written(tmp_path):
 
 
 def test_hyperparameters_newer_than_the_runs(tmp_path):
-    """They are as the family was before they came, not as SAC-LB-Streak has them now."""
+    """They have the values that mean "off", not SAC-LB-Streak's present defaults."""
     chosen = preset("sac-lb-streak", TASK)
     TrainConfig("sac-lb-streak", (TASK,), (0,), 100, chosen).write(tmp_path)
     values = read_json(tmp_path / "config.json")["hyperparameters"]
@@ -279,7 +280,7 @@ def test_hyperparameters_newer_than_the_runs(tmp_path):
     assert TrainConfig.read(tmp_path).hyperparameters == dataclasses.replace(chosen, **off)
 
 
-def test_an_algorithm_that_is_not_registered(tmp_path):
+def test_a_configuration_of_an_algorithm_that_is_not_registered(tmp_path):
     config().write(tmp_path)
     values = {"cost_limit": 5.0, "hidden": [8, 9], "my_factor": 0.25}
     edit(tmp_path, algorithm="mine", modules=["my_module"], hyperparameters=values)
@@ -325,7 +326,7 @@ def test_settings_of_another_type_are_damage(tmp_path, strict):
         TrainConfig.read(tmp_path, strict)
 
 
-def test_bounds_of_actions(tmp_path):
+def test_the_spaces_of_a_configuration_are_read_and_checked(tmp_path):
     config("Walk-v0").write(tmp_path)
     expected = Spaces(2, (-2.0,), (2.0,), "float32")
     assert read_spaces(tmp_path) == expected
@@ -336,8 +337,8 @@ def test_bounds_of_actions(tmp_path):
             read_spaces(tmp_path)
 
 
-def test_two_that_make_one_folder_at_once(tmp_path):
-    """One is refused, and what the other made is whole."""
+def test_of_two_processes_that_make_one_folder_at_once_one_is_refused(tmp_path):
+    """The other's configuration is whole."""
     fork, folder = multiprocessing.get_context("fork"), tmp_path / "x"
     both = fork.Barrier(2)
 

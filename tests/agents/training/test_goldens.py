@@ -1,10 +1,10 @@
-"""The records of the first epochs of trainings, which the kernel must give within 1e-4: five as
-version 0.3.0 (commit 81307c5) trained them, in PyTorch, and the other algorithms' of version 0.4.0.
+"""Golden records of the first epochs of every algorithm, reproduced within 1e-4.
 
-FOCOPS and CUP are among the latter: since 0.3.0 they follow their authors' code, with standardised
-cost advantages and a multiplier of the discounted cost.
+Those of five algorithms were recorded by version 0.3.0 (commit 81307c5), which trained in PyTorch,
+the others by version 0.4.0. FOCOPS and CUP are among the latter, since they follow their authors'
+code since then, with standardised cost advantages and a multiplier of the discounted cost.
 
-    python tests/agents/training/test_goldens.py     # records the latter anew
+    python tests/agents/training/test_goldens.py     # records those of 0.4.0 anew
 """
 
 import contextlib
@@ -29,7 +29,7 @@ GOLDEN = OF_0_3_0 | OF_0_4_0
 
 
 def records(algorithm, epochs, folder):
-    """Records of the first epochs of a training of seed 0."""
+    """Yield the records of the first epochs of a training of seed 0."""
     config = preset(algorithm, TASK)
     if hasattr(config, "random_steps"):
         config = replace(config, random_steps=300 if config.random_share else 0)
@@ -52,12 +52,12 @@ def test_first_epochs(algorithm, tmp_path):
     assert "critic_loss" in expected[-1]
 
 
-def test_every_algorithm_has_one():
+def test_every_algorithm_has_golden_records():
     assert set(GOLDEN) == set(BUILT_IN)
 
 
 def main():
-    """Record the trainings of 0.4.0."""
+    """Record the trainings of version 0.4.0 anew."""
     backend.configure("c++")
     found = {}
     for algorithm in BUILT_IN:

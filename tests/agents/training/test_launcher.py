@@ -1,4 +1,4 @@
-"""Trainings of several folders at a time, in processes or on Ray; files on their way from there."""
+"""Several trainings at a time, in processes or on Ray, and the transfer of their files from Ray."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def made(folder, steps=200):
     return folder
 
 
-def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
+def test_as_many_run_at_a_time_as_asked_for_and_one_that_fails_stops_no_other():
     going, most, done = set(), [], []
     steps = threading.Barrier(2, timeout=60)
 
@@ -54,7 +54,7 @@ def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
 
 
 def test_a_folder_that_cannot_be_written_stops_no_other(tmp_path):
-    """A full disk, or a folder of another user: the others are trained, whatever is shown."""
+    """As on a full disk or in another user's folder: the others are trained."""
     for name in "abc":
         made(tmp_path / name)
     (tmp_path / "b" / "worker.log").mkdir()
@@ -70,7 +70,7 @@ def test_a_folder_that_cannot_be_written_stops_no_other(tmp_path):
 
 
 def test_a_process_that_ends_before_its_training_is_no_success(tmp_path, monkeypatch):
-    """With status 0, as after `sys.exit` in somebody's code."""
+    """Even with status 0, as after `sys.exit` in a user's code."""
     folder = made(tmp_path / "x")
 
     def ends(folder, imports):
@@ -83,7 +83,7 @@ def test_a_process_that_ends_before_its_training_is_no_success(tmp_path, monkeyp
         assert "ended before the training did" in trainings.failed[folder]
 
 
-def test_leaving_ends_those_that_run_and_starts_no_other():
+def test_leaving_the_launcher_ends_what_runs_and_starts_no_other():
     started = []
 
     def work(folder, ending):
@@ -99,7 +99,7 @@ def test_leaving_ends_those_that_run_and_starts_no_other():
 
 
 def test_processes_train_folders_and_leaving_writes_checkpoints(tmp_path):
-    """One that fails: test_sweeps.py."""
+    """test_sweeps.py has a process that fails."""
     short, long = made(tmp_path / "a"), made(tmp_path / "b", 10**7)
     with launcher(count=1) as trainings:
         for folder in (short, long):
@@ -113,7 +113,8 @@ def test_processes_train_folders_and_leaving_writes_checkpoints(tmp_path):
     assert agents.load_policy(long, seed=1).step > 0
     train(made(tmp_path / "alone"))
     ours, theirs = results(short), results(tmp_path / "alone")
-    assert ours.pop("results.npz") and theirs.pop("results.npz")  # here of few evaluated episodes
+    # Evaluations in this process have fewer episodes.
+    assert ours.pop("results.npz") and theirs.pop("results.npz")
     assert ours == theirs
 
 
@@ -128,7 +129,7 @@ with launcher(count=1) as trainings:
 
 
 def test_processes_end_with_a_parent_that_is_killed(tmp_path):
-    """They leave a checkpoint, and the training goes on elsewhere."""
+    """They leave a checkpoint."""
     folder = made(tmp_path / "x", 10**7)
     parent = subprocess.Popen([sys.executable, "-c", PARENT, str(folder)])
     wait_until(lambda: (folder / "status.json").exists())
@@ -139,8 +140,8 @@ def test_processes_end_with_a_parent_that_is_killed(tmp_path):
     assert agents.load_policy(folder, seed=0).step > 0
 
 
-def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, monkeypatch):
-    """Every prefix of what is written here leads to the end of there."""
+def test_a_transfer_of_files_may_be_interrupted_at_any_moment(tmp_path, monkeypatch):
+    """After every prefix of the written files the training is resumed to the same results."""
     there = made(tmp_path / "there", 400)
     expected = results(train(made(tmp_path / "whole", 400)).folder)
     train(there, lambda trainer: trainer.epochs.max() < 1)
@@ -187,8 +188,8 @@ def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, m
 
 
 @pytest.mark.slow
-def test_a_node_of_ray_that_is_lost(tmp_path, monkeypatch):
-    """The training goes on on another node, from the newest checkpoint that was sent."""
+def test_a_training_survives_the_loss_of_its_ray_node(tmp_path, monkeypatch):
+    """Another node resumes it from the newest checkpoint that was sent."""
     pytest.importorskip("ray")
     from ray_nodes import nodes
 

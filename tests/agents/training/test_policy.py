@@ -1,4 +1,4 @@
-"""Trained policies outside of training: actions, modules, snapshots, evaluations."""
+"""Trained policies outside of training: actions, PyTorch modules, snapshots, evaluations."""
 
 import pickle
 import shutil
@@ -28,7 +28,7 @@ def trained(out, algorithm, task="Walk-v0", seeds=(0, 1), steps=200, **more):
 
 @pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
 def folder(request, tmp_path_factory):
-    """Training on a task with actions in [-2, 2]; a scale for each number of an observation."""
+    """Runs on a task with actions in [-2, 2] and an input scale for each observed number."""
     more = {"input_scale": (7.0, 0.3)}
     return trained(tmp_path_factory.mktemp("policy") / "x", request.param, **more)
 
@@ -37,7 +37,7 @@ OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (50, 2))
 
 
 def test_actions_are_those_of_training_in_the_tasks_own_space(folder):
-    """The learner's actions are rescaled as gymnasium's own wrapper does."""
+    """The learner's actions, in [-1, 1], are rescaled as the training environments do."""
     policy = agents.load_policy(folder, seed=1)
     it = Trainer(folder, TrainConfig.read(folder))
     it.load()
@@ -80,12 +80,12 @@ def test_one_observation_or_a_batch(folder):
         (np.zeros(2, complex), TypeError, "real numbers"),
     ],
 )
-def test_other_observations_are_refused(folder, observation, error, message):
+def test_observations_of_another_shape_or_type_are_refused(folder, observation, error, message):
     with pytest.raises(error, match=message):
         agents.load_policy(folder, seed=0)(observation)
 
 
-def test_the_module_of_pytorch_is_equal(folder):
+def test_the_pytorch_module_acts_as_the_policy(folder):
     policy = agents.load_policy(folder, seed=1)
     module = policy.to_torch()
     with torch.no_grad():
@@ -97,7 +97,7 @@ def test_the_module_of_pytorch_is_equal(folder):
 
 
 class Projected(toy_family.Linear):
-    """A policy whose actions are projected onto half of their range behind its network."""
+    """A policy that projects its network's actions onto half of their range."""
 
     in_module = False
 
@@ -112,19 +112,19 @@ class Projected(toy_family.Linear):
 
 
 class Both(Projected):
-    """The module does so, too."""
+    """A policy whose module projects the actions, too."""
 
     in_module = True
 
 
 @pytest.mark.parametrize("family", [Projected, Both])
 def test_a_module_must_act_as_the_policy_does(family, tmp_path, monkeypatch):
-    """A projection of actions is not lost: the half of [-2, 2] is [-1, 1]."""
+    """A projection of actions is not lost: half of the range [-2, 2] is [-1, 1]."""
     algorithm = Algorithm("Toy", toy_family.Numbers, toy_family.Rule(), family)
     with toy_family.known(algorithm=algorithm):
         out = agents.train("toy", "Walk-v0", seeds=0, steps=50, out=tmp_path / "x").folder
         policy = agents.load_policy(out)
-        # Steep, so that the projection is seen.
+        # Large observations, so that the projection has an effect.
         assert np.abs(policy(100 * OBSERVATIONS)).max() == 1
         if family is Projected:
             with pytest.raises(agents.UserError, match=r"Policy.*acts differently from the module"):
@@ -134,7 +134,7 @@ def test_a_module_must_act_as_the_policy_does(family, tmp_path, monkeypatch):
         np.testing.assert_allclose(found.detach().numpy(), policy(OBSERVATIONS), atol=1e-6)
 
 
-def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
+def test_a_policy_is_loaded_without_replay_and_environment(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "x")
     newest = sorted((copy / "checkpoints").iterdir())[-1]
     with np.load(newest) as state:
@@ -149,7 +149,7 @@ def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
     np.testing.assert_array_equal(found, expected)
 
 
-def test_which_run_and_which_step(folder, tmp_path):
+def test_a_run_or_a_step_that_does_not_exist_is_named(folder, tmp_path):
     for given, message in (
         ({}, r"several runs: give the seed, one of \(0, 1\)"),
         ({"seed": 7}, r"no run of seed 7: there are \(0, 1\)"),
@@ -164,7 +164,7 @@ def test_which_run_and_which_step(folder, tmp_path):
             agents.load_policy(given.pop("folder", folder), **given)
 
 
-def test_pickled_and_back(folder):
+def test_a_pickled_policy_acts_alike(folder):
     policy = agents.load_policy(folder, seed=1)
     copy = pickle.loads(pickle.dumps(policy))
     for deterministic in (True, False):
@@ -176,7 +176,7 @@ def test_pickled_and_back(folder):
     assert torch.equal(policy.to_torch()(inputs), copy.to_torch()(inputs))
 
 
-def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
+def test_a_checkpoint_of_networks_of_other_sizes_is_refused(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "x")
     text = (copy / "config.json").read_text()
     assert "   8\n" in text
@@ -185,7 +185,7 @@ def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
         agents.load_policy(copy, seed=0)
 
 
-def test_a_damaged_checkpoint_and_none(tmp_path):
+def test_a_damaged_or_missing_checkpoint_is_named(tmp_path):
     copy = trained(tmp_path / "x", "trpo-lag")
     newest = sorted((copy / "checkpoints").iterdir())[-1]
     newest.write_bytes(newest.read_bytes()[:-100])
@@ -210,8 +210,8 @@ def test_numbers_of_steps_and_episodes_may_be_whole_floats(tmp_path):
 
 
 @pytest.mark.parametrize("algorithm", ["sac-lag", "cpo"])
-def test_policies_on_the_way(algorithm, tmp_path):
-    """They change no result; that at the end is the last one."""
+def test_policies_from_during_training_can_be_loaded(algorithm, tmp_path):
+    """Keeping them changes no result. The last one is the policy at the end of training."""
     more = {"seeds": (3, 4), "steps": 300, "evaluate_every": 100}
     folder = trained(tmp_path / "x", algorithm, "Circle2D-1-v0", **more)
     plain = trained(tmp_path / "y", algorithm, "Circle2D-1-v0", **more | {"evaluate_every": None})
@@ -240,8 +240,8 @@ def test_policies_on_the_way(algorithm, tmp_path):
     np.testing.assert_array_equal(*last)
 
 
-def test_evaluation_by_hand():
-    """`Target`: one step, return -(a - 0.8)², cost (1 + a) / 2."""
+def test_an_evaluation_by_hand():
+    """An episode of `Target` is one step with reward -(a - 0.8)² and cost (1 + a) / 2."""
     seen = []
 
     def policy(observation):
@@ -260,7 +260,7 @@ def test_evaluation_by_hand():
     assert seen == [(1,)] * 3
 
 
-def test_evaluation_of_policies_and_folders(folder):
+def test_evaluations_of_policies_and_folders_agree_and_depend_on_the_seed(folder):
     before = results(folder)
     policy = agents.load_policy(folder, seed=1)
     one = agents.evaluate(policy, episodes=4, seed=7)
@@ -304,7 +304,7 @@ def test_an_evaluation_of_several_tasks_names_them(tmp_path):
     assert (both.task, both.seeds, len(both.returns)) == ("Walk-v0 TwoCosts-v0", (0, 1, 0, 1), 4)
 
 
-def test_evaluations_that_cannot_be(folder):
+def test_evaluations_that_are_not_possible_are_named(folder):
     policy = agents.load_policy(folder, seed=0)
     spaces = r"policy of Walk-v0 has Spaces\(.*2.0.*\), task '{}' has Spaces\(.*{}"
     for given, message in (
@@ -333,7 +333,7 @@ def test_evaluations_that_cannot_be(folder):
 TASK = "Circle2D-2-v0"
 
 
-def test_found_by_algorithm_and_task(tmp_path, monkeypatch):
+def test_pretrained_policies_are_found_by_algorithm_and_task(tmp_path, monkeypatch):
     monkeypatch.setattr(policies_of, "FOLDER", tmp_path)
     expected = tmp_path / "sac-lb" / "Circle2D-1-v0"
     trained = agents.train("sac-lb", "Circle2D-1-v0", seeds=3, steps=100, **SAC)
@@ -351,8 +351,9 @@ def test_found_by_algorithm_and_task(tmp_path, monkeypatch):
             agents.load_policy(f"pretrained:{algorithm}/{task}")
 
 
-def test_those_of_the_package_do_what_the_readme_says():
-    """TRPO-Lag goes straight through, SAC-LB-Streak ends in the corridor within the limit of 5."""
+def test_pretrained_policies_do_what_the_readme_says():
+    """TRPO-Lag goes straight through the cost region; SAC-LB-Streak ends in the corridor, within
+    the limit of 5."""
     through = agents.evaluate(f"pretrained:trpo-lag/{TASK}", episodes=30)
     kept = agents.load_policy(f"pretrained:sac-lb-streak/{TASK}")
     kept = agents.evaluate(kept, episodes=30)
@@ -360,7 +361,7 @@ def test_those_of_the_package_do_what_the_readme_says():
     assert through.mcc >= 0.18
     assert (kept.costs <= 5).all()
     assert kept.mcc <= 0.06
-    assert (kept.returns > -10).all()  # above the best that a cut-out allows
+    assert (kept.returns > -10).all()  # higher than a policy that ends in a cut-out can reach
 
 
 @pytest.mark.parametrize(
@@ -374,8 +375,8 @@ def test_those_of_the_package_do_what_the_readme_says():
         ("cpo/SafetyPointGoal1-v0", (21, 31), (15, 110)),
     ],
 )
-def test_those_of_the_safety_tasks_do_as_their_runs_did(name, returns, costs):
-    """Ranges about the means of the archives' evaluations, which results/safety tells."""
+def test_pretrained_policies_of_the_safety_tasks_do_as_their_runs_did(name, returns, costs):
+    """The ranges lie around the mean evaluations of the archives in results/safety."""
     found = agents.evaluate(f"pretrained:{name}", episodes=3)
     assert returns[0] <= found.mean_return <= returns[1]
     assert costs[0] <= found.mean_cost <= costs[1]

@@ -1,4 +1,4 @@
-"""Positions and costs of every step, and what results keep of them."""
+"""The recorded positions and costs of every step, and what results keep of them."""
 
 import gymnasium as gym
 import numpy as np
@@ -18,8 +18,8 @@ OPTIONS = TRPO | {"seeds": (3, 4), "steps": 60, "episodes": 3}
 
 
 class Drift(gym.Env):
-    """A point that drifts from a random start; its place is in the info alone, and its
-    observation is the place in tenths, so that both can be compared."""
+    """A point that drifts from a random start. The view takes x from the info and y from the
+    observation, which is a tenth of the place."""
 
     observation_space = Box(-np.inf, np.inf, (2,))
     action_space = Box(-1.0, 1.0, (2,))
@@ -66,7 +66,7 @@ def runs(tmp_path_factory):
 
 
 def test_positions_come_from_observation_and_info(runs):
-    """Though some episodes end and are reset while others go on, beside a task without a view."""
+    """Though episodes end at different times, and beside a task without a view."""
     for seed in (3, 4):
         names = ("positions", "costs/cost", "length")
         positions, costs, length = (steps_of(runs.folder, f"Drift-v0/{seed}", n) for n in names)
@@ -76,12 +76,12 @@ def test_positions_come_from_observation_and_info(runs):
         np.testing.assert_array_equal(costs, positions[:, 0] > 0)  # of the same step
         jumps = np.abs(np.diff(positions, axis=0)).max(axis=1)
         within = np.setdiff1d(np.arange(len(jumps)), np.cumsum(length) - 1)
-        assert jumps[within].max() < 0.1001 * 1.01  # a step goes that far
+        assert jumps[within].max() < 0.1001 * 1.01  # a step moves by at most a tenth
         with pytest.raises(KeyError):
             steps_of(runs.folder, f"Blind-v0/{seed}", "positions")
 
 
-def test_drawn_episodes_begin_where_they_started(runs):
+def test_drawn_episodes_have_the_positions_of_every_step(runs):
     group = next(group for group in read_groups([runs.folder], []) if group.task == "Drift-v0")
     for run in group.runs:
         episodes = run.trained()
@@ -99,8 +99,8 @@ def test_drawn_episodes_begin_where_they_started(runs):
             assert place == "left"
 
 
-def test_replay_by_hand(runs):
-    """Against the positions of all steps: loops instead of arrays."""
+def test_the_replay_against_the_recorded_steps(runs):
+    """Recomputed by loops from the positions and costs of all steps."""
     group = next(group for group in read_groups([runs.folder], []) if group.task == "Drift-v0")
     for run in group.runs:
         positions = steps_of(runs.folder, f"Drift-v0/{run.seed}", "positions")
@@ -109,7 +109,7 @@ def test_replay_by_hand(runs):
         box = positions.max(axis=0) - positions.min(axis=0)
         for episode in replay.episodes:
             records = run.records
-            windows = records.start_step * 60 // records.length.sum()  # of the steps taken
+            windows = records.start_step * 60 // records.length.sum()  # sixtieths of training
             rows = np.flatnonzero(windows == episode.window)
             share = (records.longest_streak / records.length)[rows]
             row = rows[int(np.argmax(share))]
@@ -131,14 +131,14 @@ def test_the_replay_takes_the_worst_of_each_window():
 
 
 @pytest.mark.parametrize("values", [(0.0, 1.0), (0.0, 0.25, 1.0, 3.5), (0.0,), (2.0,)])
-def test_costs_there_and_back(values):
+def test_packed_costs_are_unpacked_as_they_were(values):
     costs = np.random.default_rng(0).choice(values, 1003)
     packed = pack_costs(costs)
     assert ("values" in packed) == (not set(values) <= {0.0, 1.0})
     np.testing.assert_array_equal(unpack_costs(packed, ""), costs)
 
 
-def test_views(monkeypatch):
+def test_the_view_of_a_task_and_errors_in_it(monkeypatch):
     assert view_of("Circle2D-1-v0", {}).axes[0].startswith("x")
     assert view_of("circle2d_mj:Circle2D-1-v0", {"constraint_radius": 3.0}).extent[1] > 3
     assert view_of("Drift-v0", {}) is Drift.view

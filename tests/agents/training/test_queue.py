@@ -1,4 +1,4 @@
-"""Grids over the cores that there are: by counting, with made-up durations."""
+"""Grids split over the available cores, simulated with made-up durations."""
 
 import threading
 from dataclasses import replace
@@ -27,13 +27,13 @@ def cells(config):
 
 
 def duration(config):
-    """Runs in lockstep share what two runs take."""
+    """Return a made-up duration: running side by side costs as much as two further runs."""
     share = algorithm(config.algorithm).work * config.steps
     return share * (len(config.runs) + 2)
 
 
 def simulated(configs, workers):
-    """Start and end of each training, taken from a queue in its order by the first free worker."""
+    """Return the start and end of each training of a queue, each taken by the next free worker."""
     free, times = [0.0] * workers, []
     for config in configs:
         worker = min(range(workers), key=free.__getitem__)
@@ -43,7 +43,7 @@ def simulated(configs, workers):
 
 
 def paper(out):
-    """Sixty runs: five algorithms, four tasks, three seeds."""
+    """Return the paper's grid of sixty runs: five algorithms, four tasks, three seeds."""
     return grid.grid(out, TASKS, PAPER_ALGORITHMS, range(3), steps=1000)
 
 
@@ -56,7 +56,7 @@ def test_sixty_runs_on_sixteen_cores_are_sixteen_processes(tmp_path):
     assert every == sorted(cell for config in whole.values() for cell in cells(config))
     assert len(set(every)) == 60
     times = simulated(parts.values(), 16)
-    assert {start for start, _ in times} == {0.0}  # all cores begin at once, and no run waits
+    assert {start for start, _ in times} == {0.0}  # no run waits for a core
     before = max(map(duration, whole.values()))
     assert max(end for _, end in times) < 0.4 * before
 
@@ -90,8 +90,8 @@ def test_parts_hold_every_run_once_and_take_no_longer(shapes, workers):
     assert works == sorted(works, reverse=True)
 
 
-def test_what_has_begun_stays_cut_as_it_is(tmp_path):
-    """On a machine of other cores the same command finds its folders, whole or in parts."""
+def test_a_grid_that_has_begun_stays_split_as_it_is(tmp_path):
+    """On a machine with another number of cores the same command finds its folders."""
     whole = paper(tmp_path)
     parts = grid.split(whole, 16)
     grid.prepare(parts)
@@ -103,8 +103,7 @@ def test_what_has_begun_stays_cut_as_it_is(tmp_path):
 
 
 def test_other_seeds_are_not_trained_beside_the_parts_of_a_training(tmp_path):
-    """Whichever numbers of parts two sets of seeds are cut into: a report of the folder would have
-    the runs that both have twice."""
+    """Whatever the number of parts: a report of the folder would count common seeds twice."""
     for seeds in (2, 3, 5, 6, 8):
         out = tmp_path / str(seeds)
         grid.prepare(grid.split({out: training(tasks=TASKS[:1], seeds=range(4))}, 4))
@@ -116,7 +115,8 @@ def test_other_seeds_are_not_trained_beside_the_parts_of_a_training(tmp_path):
 
 
 def test_nothing_is_made_where_one_training_cannot_be(tmp_path):
-    """Two numbers fit Circle2D's observations, and not those with physics. Mended, it is made."""
+    """Two input scales fit the observations of Circle2D, but not of Circle2DMuJoCo. With a valid
+    configuration both folders are made."""
     scaled = algorithm("cpo").config(input_scale=(10.0, 5.0))
     tasks = ("Circle2D-1-v0", "Circle2DMuJoCo-1-v0")
     both = {tmp_path / task: TrainConfig("cpo", (task,), (0,), 100, scaled) for task in tasks}
@@ -132,16 +132,10 @@ def test_nothing_is_made_where_one_training_cannot_be(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(tasks)
 
 
-def test_shards_have_every_run_once(tmp_path):
-    parts = [grid.shard(grid.split(paper(tmp_path), 16), k, 16) for k in range(1, 17)]
-    assert all(len(part) == 1 for part in parts)
-    assert len({cell for part in parts for config in part.values() for cell in cells(config)}) == 60
-
-
 @pytest.mark.parametrize("workers", [1, 3, 8])
 def test_no_worker_is_idle_while_a_training_waits(workers):
-    """The launcher with a training that ends when it is told to: the longest that wait are taken
-    first, and as many run as can at any time."""
+    """The trainings here end when the test says so. They start in the order of the queue, and at
+    any time as many run as there are workers."""
     changed, started, ended = threading.Condition(), [], set()
 
     def train(folder, ending):

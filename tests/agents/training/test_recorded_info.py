@@ -1,5 +1,5 @@
-"""Numbers of the info: those that a task has recorded, and a second cost, evaluated and with EMCC
-of its own."""
+"""Numbers from a step's info: those that a task has recorded, and a second cost with records,
+measures and evaluations of its own."""
 
 import re
 import shutil
@@ -38,7 +38,8 @@ def pressed(tmp_path_factory):
 
 
 def test_every_step_is_recorded(pressed):
-    """Beside a task that records nothing; x > 0.5 costs 1, in the same step."""
+    """Beside a task that records nothing. A step with x > 0.5 costs 1, so that both columns must be
+    of the same step."""
     x, beyond, costs = (
         steps_of(pressed.folder, "Pressed-v0/3", n) for n in ("info/x", "info/beyond", "costs/cost")
     )
@@ -63,8 +64,7 @@ def test_another_vectorization_and_a_resumed_training_record_the_same(pressed, t
     assert other == (pressed.folder / "results.npz").read_bytes()
 
 
-def test_numbers_that_are_damaged_are_left_out(pressed, tmp_path):
-    """The rest of the report is there."""
+def test_a_report_leaves_out_damaged_recorded_numbers_alone(pressed, tmp_path):
     folder = shutil.copytree(pressed.folder, tmp_path / "x")
     edit_results(folder, **{"Pressed-v0__3__info__x__unsafe": np.zeros(1, np.uint8)})
     assert main(["report", str(folder)]) == 1
@@ -97,7 +97,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
     [windowed] = read_groups([tmp_path / "a.zip"], [], None, 2)
     above = windowed.runs[0].recorded("beyond").emcc_above
     assert {*above(0.0).values()} == {None}
-    never = np.zeros(own.runs[0].records.total_steps)  # a run that touches nothing
+    never = np.zeros(own.runs[0].records.total_steps)  # a run in which the number is always 0
     kept_of_it = recorded.packed(never, own.runs[0].records)
     for threshold in (0.0, 5.0):
         exact = recorded.of_steps(never, own.runs[0].records, None).emcc_above(threshold)
@@ -112,7 +112,7 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
 
 @pytest.mark.parametrize("least", [0.00123, 0.5, 9.99, 10.0, 99.5, 1e5])
 @pytest.mark.parametrize("times", [1.0, 1.7, 12.0, 3e4])
-def test_numbers_of_two_digits(least, times):
+def test_thresholds_have_two_digits_and_steps_of_at_most_ten_percent(least, times):
     numbers = two_digits(least, least * times).tolist()
     assert numbers[0] == 0.0
     assert numbers[1] <= least
@@ -122,7 +122,7 @@ def test_numbers_of_two_digits(least, times):
     assert all(b / a < 1.101 for a, b in pairwise(numbers[1:]))
 
 
-def test_what_cannot_be_recorded(monkeypatch):
+def test_what_cannot_be_recorded_is_named(monkeypatch):
     def told(recorded, words):
         monkeypatch.setattr(Pressed, "recorded_info", recorded)
         with pytest.raises(UserError, match=words):
@@ -135,8 +135,8 @@ def test_what_cannot_be_recorded(monkeypatch):
     told({"x": "m"}, r"gives info\['x'\] = 'far', which is no number")
 
 
-def test_the_table_of_what_is_recorded_by_hand(pressed):
-    """Of one run: shares, percentiles and streaks of each third, counted in loops."""
+def test_the_table_of_recorded_numbers_by_hand(pressed):
+    """Shares, percentiles and streaks of one run in each third of training, counted in loops."""
     group = next(group for group in read_groups([pressed.folder], []) if group.task == "Pressed-v0")
     one = replace(group, runs=group.runs[:1])
     table = recorded_table([one])
@@ -163,7 +163,7 @@ def test_the_table_of_what_is_recorded_by_hand(pressed):
     for k, row in enumerate(table.rows):
         share, median, most, highest, above, high = (cell.value for cell in row.numbers)
         first, last = -(-33 * k * total // 100), -(-33 * (k + 1) * total // 100)
-        last += k == 2 and 99 * total % 100 == 0  # 0.99 has its last one
+        last += k == 2 and 99 * total % 100 == 0  # the last third includes its end
         part = beyond[first:last]
         assert share == pytest.approx((part > 0).mean())
         told = np.percentile(part[part > 0], [50, 90, 100])
@@ -243,8 +243,7 @@ def test_epochs_and_frames_name_further_costs():
     np.testing.assert_array_equal(column, runs.records_of("cost_2")[runs.folder, 1].cost)
 
 
-def test_a_first_cost_of_another_name_is_named():
-    """Beside one whose name is "cost"."""
+def test_a_first_cost_of_another_name_stands_beside_one_named_cost():
     epochs, more = [], BOTH | {"costs": ("cost_2", "cost"), "evaluate_every": 100}
     runs = agents.train("cpo", "TwoCosts-v0", on_epoch=epochs.append, **more, **TRPO)
     frames = {rows: runs.to_pandas(rows) for rows in ("episodes", "evaluations")}
@@ -259,7 +258,7 @@ def test_a_first_cost_of_another_name_is_named():
 
 
 @pytest.mark.parametrize("vectorization", ["auto", "async"])
-def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
+def test_a_cost_that_the_task_lacks_is_refused(tmp_path, vectorization):
     for task in ("Walk-v0", "Circle2D-1-v0"):
         with pytest.raises(UserError, match=rf"task '{task}'.* gives no info\['cost_2'\]"):
             agents.train("cpo", task, out=tmp_path / "x", vectorization=vectorization, **BOTH)
@@ -270,7 +269,7 @@ def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
     assert not (tmp_path / "x").exists()
 
 
-def test_random_training_is_told_and_another_first_cost_is_named(tmp_path):
+def test_a_table_says_that_all_actions_were_random_and_names_the_cost(tmp_path):
     more = {"seeds": 0, "steps": 100, "costs": ("cost_2",), "random_steps": 200}
     table = agents.train("sac-lag", "TwoCosts-v0", out=tmp_path / "x", **more).table()
     assert re.search(r"cost_2\): all its training's actions are random", table)

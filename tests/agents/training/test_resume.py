@@ -1,4 +1,4 @@
-"""Trainings that stop or are killed go on as if never interrupted, bit for bit."""
+"""Trainings that were stopped, or are made longer, end as if never interrupted, bit for bit."""
 
 import re
 
@@ -15,7 +15,7 @@ from agents.errors import UserError
 
 OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
 FAMILIES = {"cpo": TRPO, "sac-lag": SAC}
-"""Every other one stops once in test_families.py."""
+"""The other algorithms are stopped once in test_families.py."""
 
 
 def trained(out, algorithm, task="Walk-v0", **more):
@@ -25,7 +25,7 @@ def trained(out, algorithm, task="Walk-v0", **more):
 
 @pytest.mark.parametrize("algorithm", FAMILIES)
 def test_a_stop_after_any_epoch(tmp_path, algorithm):
-    """Episodes end early, observations are float64; the parameters are compared too."""
+    """Episodes end early and observations are float64; checkpoints are compared, too."""
     expected = results(trained(tmp_path / "whole", algorithm))
     broken, stops = tmp_path / "broken", []
 
@@ -42,7 +42,7 @@ def test_a_stop_after_any_epoch(tmp_path, algorithm):
 
 
 class Shorter(Walk):
-    """Sees x alone."""
+    """A walk that observes x alone."""
 
     observation_space = Box(-np.inf, np.inf, (1,), np.float64)
 
@@ -51,7 +51,7 @@ class Shorter(Walk):
 
 
 class Unlike(Walk):
-    """Its cost has another name."""
+    """A walk whose cost has another name."""
 
     def step(self, action):
         *step, info = super().step(action)
@@ -68,8 +68,8 @@ CHANGED = {
 
 @pytest.mark.parametrize("how", CHANGED)
 def test_a_task_that_has_changed_costs_no_run(tmp_path, monkeypatch, capsys, how):
-    """Its runs would be marked as failed for good, or go on with actions of another scale. Made
-    again as it was, it goes on as if never changed."""
+    """The training is refused, since its runs would fail for good or act at another scale. Once the
+    task is as before, it goes on as if the task had never changed."""
     other, words = CHANGED[how]
     expected = results(trained(tmp_path / "whole", "cpo"))
     broken = trained(tmp_path / "x", "cpo", on_epoch=lambda epoch: False)
@@ -86,8 +86,7 @@ def test_a_task_that_has_changed_costs_no_run(tmp_path, monkeypatch, capsys, how
     assert results(broken) == expected
 
 
-def test_an_epoch_is_kept_whose_follower_raises(tmp_path):
-    """Its checkpoint is there; that any checkpoint leads to the same end: see above."""
+def test_an_epoch_whose_callback_raises_is_saved(tmp_path):
     epochs = []
 
     def fail(epoch):
@@ -105,8 +104,8 @@ def test_an_epoch_is_kept_whose_follower_raises(tmp_path):
     ("algorithm", "task"), [("cpo", "Circle2D-1-v0"), ("sac-lag", "Circle2D-1-v0")]
 )
 def test_a_finished_training_goes_on(algorithm, task, tmp_path):
-    """All files are those of a training of that length: results, the newest checkpoint, policies on
-    the way, config.json. Given again the number changes nothing, another time it goes on again."""
+    """All files are those of a training of that length: results, the newest checkpoint, policies
+    from during training, and config.json. The same number of steps again changes nothing."""
     expected = results(trained(tmp_path / "whole", algorithm, task, steps=600))
     folder = trained(tmp_path / "x", algorithm, task, steps=230)
     before = results(folder)
@@ -120,8 +119,9 @@ def test_a_finished_training_goes_on(algorithm, task, tmp_path):
     assert results(folder) == expected
 
 
-def test_whole_epochs_hold_the_new_number_already(tmp_path):
-    """230 steps are an epoch of ten episodes of 50, as 480 are: parts of training differ alone."""
+def test_a_longer_training_that_needs_no_further_epoch(tmp_path):
+    """230 and 480 steps are both an epoch of ten episodes of 50 steps, so that only the results'
+    parts of training differ."""
     more = {"seeds": (3, 4), "episodes": 10} | {k: v for k, v in TRPO.items() if k != "episodes"}
     how = {"algorithm": "cpo", "task": "Circle2D-1-v0", **more}
     expected = agents.train(**how, steps=480, out=tmp_path / "whole").folder
@@ -133,8 +133,8 @@ def test_whole_epochs_hold_the_new_number_already(tmp_path):
 
 @pytest.mark.parametrize("algorithm", FAMILIES)
 def test_runs_that_waited_for_others_catch_up(algorithm, tmp_path):
-    """On tasks whose episodes end early, so that runs are done after different numbers of epochs;
-    stopped while they catch up, too. test_families.py has every algorithm."""
+    """Where episodes end early, runs are done after different numbers of epochs; the training is
+    also stopped while they catch up. test_families.py has every algorithm."""
     how = {"seeds": (3, 4, 5)}
     expected = results(trained(tmp_path / "whole", algorithm, steps=600, **how))
     folder = trained(tmp_path / "x", algorithm, steps=250, **how)

@@ -1,4 +1,4 @@
-"""Other people's tasks: their action bounds, and costs that gymnasium would change on the way."""
+"""Users' tasks: bounds of actions, forms of numbers, spaces, and vector environments."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -27,7 +27,7 @@ from circle2d_mj import FromSafetyGymnasium
 
 
 class Other(gym.Env):
-    """Actions in [0, 4]; the cost is the int 0 at first and then the action over ten."""
+    """Actions in [0, 4]; the cost is the int 0 in the first step, then a tenth of the action."""
 
     observation_space = Box(-1.0, 1.0, (3,))
     action_space = Box(0.0, 4.0, (1,))
@@ -63,8 +63,10 @@ SIDES = st.floats(-(2.0**99), 2.0**99, width=32, allow_subnormal=False)
 @settings(deadline=None)
 @given(st.lists(st.tuples(SIDES, SIDES).filter(lambda b: b[0] != b[1]), min_size=1, max_size=4))
 def test_every_action_lies_within_the_bounds(bounds):
-    """Of float32, be they as unequal as they may: at the ends, beyond them and between. Training
-    and the policy that plays alone send the same."""
+    """For any bounds in float32, and network outputs within [-1, 1] and beyond.
+
+    A loaded policy sends the same actions as training.
+    """
     low, high = np.sort(np.array(bounds, np.float32), axis=1).T
     space = Box(low, high)
     shares = np.array([-1.0, 1.0, 0.0, -0.3, 1 / 3, np.nextafter(1, 0), -7.0, 7.0], np.float32)
@@ -84,7 +86,7 @@ def test_every_action_lies_within_the_bounds(bounds):
 
 
 def policy_of(spaces, actions):
-    """A policy whose network gives these actions."""
+    """Return a policy whose network gives these actions."""
     learner = SimpleNamespace(policy=lambda: lambda observation, noise: actions[None])
     config = SimpleNamespace(task_parameters={})
     return Policy(config, RunId("Bounded-v0", 0), None, "", spaces, learner)
@@ -108,7 +110,7 @@ def test_actions_must_have_bounds(low, high):
         make_envs("Wide-v0", 2, {})
 
 
-def test_an_id_with_its_module():
+def test_ids_may_name_their_module():
     envs = make_envs("circle2d_mj:Circle2D-2-v0", 3, {})
     assert type(envs.unwrapped).__name__ == "Circle2DVectorEnv"
     with pytest.raises(UserError, match="'no_such:Circle2D-2-v0': there is no module 'no_such'"):
@@ -118,8 +120,8 @@ def test_an_id_with_its_module():
 
 
 class InPlace(VectorEnv):
-    """Episodes of five steps, with the reward t at step t; every step writes into the same arrays
-    again. The positions are a part of the observations."""
+    """Episodes of five steps with the reward t in step t; every step returns the same arrays, with
+    new numbers. Positions are observations."""
 
     single_observation_space, single_action_space = Box(-9.0, 9.0, (2,)), Box(-1.0, 1.0, (1,))
     metadata = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012
@@ -162,8 +164,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_one_number_is_one_number_in_any_form(kind):
-    """The training is the same where rewards, costs and ends come in other forms."""
+def test_the_types_of_rewards_costs_and_ends_do_not_matter(kind):
 
     class Boxed(Walk):
         def step(self, action):
@@ -180,7 +181,7 @@ def test_one_number_is_one_number_in_any_form(kind):
 
 
 @pytest.mark.parametrize("end", [np.nan, "no", None, 2])
-def test_an_end_is_true_or_false(end):
+def test_an_end_that_is_neither_true_nor_false_is_refused(end):
     class Odd(Walk):
         def step(self, action):
             observation, reward, _, *others = super().step(action)
@@ -191,7 +192,7 @@ def test_an_end_is_true_or_false(end):
 
 
 class Endless(Walk):
-    """A walk that nothing ends."""
+    """A walk whose episodes never end."""
 
     def step(self, action):
         observation, reward, _, _, info = super().step(action)
@@ -199,7 +200,7 @@ class Endless(Walk):
 
 
 def test_a_task_without_a_time_limit_is_told_how_to_get_one():
-    """After 10 000 steps, in training and in the evaluation of a policy."""
+    """After 10,000 steps, in training and in the evaluation of a policy."""
     with registered(Endless=Endless):
         words = "not ended after 10000 steps: .*--task-parameters max_episode_steps"
         with pytest.raises(TaskFailure, match=words):
@@ -209,14 +210,14 @@ def test_a_task_without_a_time_limit_is_told_how_to_get_one():
         more = {"steps": 10, "seeds": 0, "task_parameters": {"max_episode_steps": 10}}
         runs = agents.train("cpo", "Endless-v0", **TRPO | {"episodes": 1} | more)
         assert runs.records[runs.folder, 0].length.tolist() == [10]
-        limit = {"max_episode_steps": 10_020}  # as many as the user wants
+        limit = {"max_episode_steps": 10_020}  # a user's limit may be higher
         still = agents.evaluate(lambda seen: np.zeros(1), "Endless-v0", 1, task_parameters=limit)
         assert still.lengths == 10_020
         assert replace(TrainConfig.read(runs.folder), task_parameters=limit).most_steps == 10_020
 
 
 class Pieces(Walk):
-    """A walk whose observation is in pieces."""
+    """A walk whose observation is a dict."""
 
     observation_space = gym.spaces.Dict({"x": Box(-9, 9, (1,)), "t": Box(0, 1, (1,))})
 
@@ -224,7 +225,7 @@ class Pieces(Walk):
         return {"x": np.array([self.x], np.float32), "t": np.array([self.t / 40], np.float32)}
 
 
-def test_other_spaces_are_told_what_makes_them_flat():
+def test_the_error_for_a_dict_of_observations_names_the_wrapper_that_flattens():
     flat = {"Flat": lambda: gym.wrappers.FlattenObservation(Pieces())}
     with registered(Pieces=Pieces, **flat):
         with pytest.raises(UserError, match=r"FlattenObservation.*emcc\.RecordCosts"):
@@ -233,7 +234,7 @@ def test_other_spaces_are_told_what_makes_them_flat():
 
 
 class Single(InPlace):
-    """Rewards and costs of .1 in float32, 50 000 steps an episode."""
+    """Rewards and costs of 0.1 in float32, and episodes of 50,000 steps."""
 
     def step(self, actions):
         super().step(actions)
@@ -252,7 +253,7 @@ def test_sums_of_float32_are_taken_in_float64():
     np.testing.assert_allclose(rollout.cost_returns, exact, rtol=1e-10)
 
 
-def test_a_vector_environment_that_writes_into_its_arrays_again():
+def test_a_vector_environment_may_return_the_same_arrays_in_every_step():
     with registered(InPlace=Other):
         gym.spec("InPlace-v0").vector_entry_point = InPlace
         more = {"seeds": 0, "steps": 10, "episodes": 2}
@@ -265,7 +266,7 @@ def test_a_vector_environment_that_writes_into_its_arrays_again():
 
 
 class Forgetful(InPlace):
-    """Episodes of five, six, ... steps side by side; a reset of one resets all."""
+    """Episodes of five, six, ... steps side by side; resetting one environment resets all."""
 
     def reset(self, *, seed=None, options=None):
         return super().reset(seed=seed)
@@ -277,7 +278,7 @@ class Forgetful(InPlace):
 
 
 def test_a_vector_environment_that_resets_others_is_refused():
-    """Else their episodes would go on from another start, and be recorded as longer ones."""
+    """Otherwise episodes would be recorded that were reset in the middle."""
     with registered(Forgetful=Other):
         gym.spec("Forgetful-v0").vector_entry_point = Forgetful
         words = r"a reset of task 'Forgetful-v0' with options\['reset_mask'\] changes environments"
@@ -294,8 +295,8 @@ class Six(Walk):
 
 
 @pytest.mark.parametrize("limit", [None, 30])
-def test_six_values_are_told_what_makes_them_five(limit):
-    """With gymnasium's own wrappers around them, each of which has other words."""
+def test_the_error_for_steps_of_six_values_names_the_wrapper(limit):
+    """With and without gymnasium's time limit, whose own error differs."""
     own = {"Six": Six, "Five": lambda: FromSafetyGymnasium(Six())}
     more = TRPO | {"steps": 50, "seeds": 0}
     with registered(**own):
