@@ -1,4 +1,4 @@
-"""Mistakes on the command line: one line on stderr, status 2, nothing half-made left."""
+"""Mistakes on the command line: one line on stderr, status 2, and nothing is written."""
 
 import os
 import re
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
 
 
 def mistake(arguments, capsys):
-    """The line on stderr of a command that is refused."""
+    """Run a command that is refused and return its line on stderr."""
     assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -111,7 +111,9 @@ def test_mistakes(arguments, message, folder, tmp_path, capsys, monkeypatch):
         ("onnx", ["export", "{folder}", "--format", "onnx"], "[export]"),
     ],
 )
-def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, capsys, monkeypatch):
+def test_a_missing_library_is_named_with_its_extra(
+    module, options, hint, folder, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setitem(sys.modules, module, None)
     options = [word.format(folder=folder) for word in options]
     assert f"pip install -c constraints.txt '.{hint}'" in mistake(
@@ -124,8 +126,9 @@ def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, caps
     ("importer", "needs"),
     [("agents/cli/showing.py", True), ("agents/zoo.py", True), ("../my_algorithm.py", False)],
 )
-def test_a_library_that_code_of_others_lacks_is_not_what_the_command_needs(importer, needs):
-    """Though it is one of ours: by the file whose line imports it, behind Python's own."""
+def test_the_hint_of_an_extra_is_only_for_imports_by_this_package(importer, needs):
+    """A user's file may lack the same library. What counts is the file with the import statement,
+    behind the frames of Python's import system."""
     file = str(Path(agents.__file__).parents[1] / importer)
     code = "def imports(name):\n    import importlib\n    importlib.import_module(name)"
     names = {}
@@ -154,7 +157,7 @@ def test_a_pipe_or_a_device_is_not_replaced(command, folder, tmp_path, capsys):
 
 
 def test_only_import_looks_into_the_current_folder(folder, tmp_path, monkeypatch, capsys):
-    """Whatever lies there, such as a file named like a library that torch asks for."""
+    """It may hold anything, such as a file with the name of a library that torch imports."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [part for part in sys.path if part])
     own = tmp_path / "zz_own.py"
@@ -168,7 +171,7 @@ def test_only_import_looks_into_the_current_folder(folder, tmp_path, monkeypatch
     assert "zz_own" in sys.modules
 
 
-def test_nor_do_the_processes_that_train(tmp_path, monkeypatch):
+def test_processes_that_train_do_not_look_into_the_current_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "numpy.py").write_text("raise RuntimeError('taken from the current folder')")
     grid = {"seeds": 0, "steps": 100, "hidden": (8,)}

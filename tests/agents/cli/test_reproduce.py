@@ -1,4 +1,4 @@
-"""`circle2d reproduce`: all of the grid is trained, wherever it was stopped; failures are named."""
+"""`circle2d reproduce` trains the whole grid, also after an interruption, and names failures."""
 
 import contextlib
 import io
@@ -24,14 +24,16 @@ STARTED = [sys.executable, "-m", "agents.cli", *COMMAND]
 
 
 def results(folder):
-    """Bytes of what was derived, by path."""
+    """Return the bytes of each `results.npz`, by path."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("results.npz")}
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The folder of a grid, and what was printed on stderr, which is no terminal. Neither
-    training nor the report touches OpenGL, which would fail."""
+    """The folder of a finished grid, and what was printed on stderr, which is no terminal.
+
+    OpenGL would fail here, so that neither training nor the report uses it.
+    """
     out = tmp_path_factory.mktemp("grid") / "whole"
     with contextlib.redirect_stderr(io.StringIO()) as err, pytest.MonkeyPatch.context() as patch:
         patch.setenv("MUJOCO_GL", "nonsense")
@@ -40,7 +42,7 @@ def whole(tmp_path_factory):
 
 
 def test_it_trains_and_reports_all(whole):
-    """Where stderr is no terminal, a line for each training that ends."""
+    """Where stderr is no terminal, each training that ends has a line."""
     out, err = whole
     assert set(results(out)) == {f"Circle2D-1-v0/{n}/results.npz" for n in ("cpo", "trpo-lag")}
     assert err.count(": done after ") == 2
@@ -50,8 +52,7 @@ def test_it_trains_and_reports_all(whole):
     assert "Visited states" in (out / "index.html").read_text()
 
 
-def test_again_nothing_is_trained(whole, capsys):
-    """And the report is the same."""
+def test_the_same_command_again_trains_nothing_and_gives_the_same_report(whole, capsys):
     out, _ = whole
     before = {path: path.read_bytes() for path in (*out.rglob("*.npz"), out / "index.html")}
     assert main([*COMMAND, str(out)]) == 0
@@ -85,7 +86,7 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
 
 
 def test_a_shard_without_trainings_is_over_at_once(tmp_path, capsys):
-    """Two trainings in four shards: the last two have none."""
+    """Of four shards of two trainings the last two have none."""
     assert main([*COMMAND, str(tmp_path / "x"), "--shard", "4/4"]) == 0
     assert "part 4/4 is over" in capsys.readouterr().out
     assert not (tmp_path / "x").exists()
@@ -100,7 +101,7 @@ def test_quick_is_small_and_safety_is_the_papers():
     configs = trainings("--quick")
     assert {config.steps for config in configs.values()} == {10_000}
     assert {config.seeds for config in configs.values()} == {(0, 1)}
-    # Two seeds on four levels train in one folder.
+    # Two seeds on four levels are one training.
     assert set(configs) == {Path("runs", name) for name in PAPER_ALGORITHMS}
     configs = trainings("--safety")
     assert {task for c in configs.values() for task in c.tasks} == set(SAFETY)
@@ -109,7 +110,7 @@ def test_quick_is_small_and_safety_is_the_papers():
 
 @pytest.mark.slow
 def test_stopped_in_the_middle_it_leaves_no_worker_and_goes_on(whole, tmp_path):
-    """One that is killed: test_launcher.py."""
+    """test_launcher.py has a parent process that is killed."""
     command = [*STARTED, str(tmp_path), "--shard", "1/1"]  # without a report
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     wait_until(lambda: process.poll() is not None or list(tmp_path.rglob("status.json")), 120)

@@ -1,4 +1,4 @@
-"""Tables on a terminal: the means, within its width, with every cell; Markdown into a pipe."""
+"""Tables on a terminal: what they show, their width, and characters that it lacks."""
 
 import io
 import re
@@ -45,7 +45,7 @@ BRIEF_HEAD = ["task", "EMCC", "streak", "within limit", "ends in"]
 BRIEF = Table("a long legend", BRIEF_HEAD, ROWS, details=["streak"])
 
 
-def test_a_terminal_has_the_means(capsys):
+def test_a_terminal_shows_the_means_without_details(capsys):
     show([BRIEF], 80, "runs/index.html")
     printed = capsys.readouterr().out
     assert "a long legend" not in printed and "streak" not in printed and "seed 0" not in printed
@@ -56,7 +56,7 @@ def test_a_terminal_has_the_means(capsys):
     assert max(map(len, printed.splitlines())) <= 80
 
 
-def test_other_numbers_of_runs_stand_in_the_rows(capsys):
+def test_numbers_of_runs_that_differ_stand_in_the_rows(capsys):
     more = replace(ROWS[0], name="WCSAC (batch 5), mean of 3")
     show([replace(BRIEF, rows=[*ROWS, more])], 80, "runs/index.html")
     printed = capsys.readouterr().out
@@ -67,7 +67,7 @@ def test_other_numbers_of_runs_stand_in_the_rows(capsys):
 
 def test_characters_that_the_encoding_lacks_are_replaced(monkeypatch):
     printed = {}
-    for encoding in ("utf-8", "iso-8859-9", "ascii"):  # the second is that of tr_TR
+    for encoding in ("utf-8", "iso-8859-9", "ascii"):  # iso-8859-9 is the locale tr_TR's
         monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding=encoding))
         assert main(["zoo"]) == 0
         printed[encoding] = sys.stdout.buffer.getvalue()

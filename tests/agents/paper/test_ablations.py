@@ -1,4 +1,5 @@
-"""Both choices of settings that the paper does not specify: their runs, and their table."""
+"""Ablations: other choices of settings that the paper does not specify, and SAC-LB-Streak without
+one of its parts. Their grid and their tables."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +30,7 @@ def test_the_grid_with_ablations():
         *(f"x/{TASK}/{name}-units" for name in ALGORITHMS),
         *(f"x/{TASK}/{name}-bootstrap-units" for name in ("sac-lag", "sac-lb", "wcsac")),
         *(f"{folder}/wcsac-library" for folder in (f"x/{TASK}", safety)),
-        # There the presets bootstrap.
+        # The presets of Safety tasks bootstrap.
         *(f"{safety}/{name}" for name in ("trpo-lag-sgd", "sac-lag-terminal")),
         *(f"{safety}/{name}" for name in ("sac-lb-terminal", "wcsac-terminal")),
     }
@@ -48,18 +49,18 @@ def test_the_grid_with_ablations():
         expected = replace(preset(algorithm, config.tasks[0]), **changed)
         assert config.hyperparameters == expected
         assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
-    # What takes longest still goes first.
+    # The longest trainings still come first.
     assert [config.algorithm for config in all_of.values()][-5:] == ["trpo-lag"] * 5
 
 
 def write_runs(folder, name, j_r, hyperparameters=None, ends=((-0.5, 0.0),), task=TASK):
-    """Runs of ten episodes with four of ten steps at a cost, which end in turn at some places."""
+    """Write runs of ten episodes, in which four of ten steps cost; they end at `ends` in turn."""
     at = [[end] for end in ends] if task.startswith("Circle2D") else None
     write_evaluated(folder, name, [4] * len(j_r), hyperparameters, task, returns=j_r, at=at)
 
 
 ENDS = ((-0.5, 0.0), (1.0, 0.0))
-"""In the corridor and at the right rim."""
+"""In the corridor, and at the right rim."""
 
 
 @pytest.fixture
@@ -85,14 +86,14 @@ def test_both_choices_side_by_side(folder):
     assert of_preset[5] == "-14.00 range -20.00 to -10.00"
     assert of_other[5] == "**-2.00** range -3.00 to -1.00"  # 2.68 from the paper, not 9.32
     assert of_paper[5] == "-4.68"
-    assert of_preset[6].startswith("**4.25**")  # of two equal ones either
+    assert of_preset[6].startswith("**4.25**")  # both of two equal ones are marked
     assert of_other[6].startswith("**4.25**")
-    # Of 3 of 3 runs the lower end is the third root of .025; of 2 of 2 the square root.
+    # The lower end for 3 of 3 runs is the third root of .025, for 2 of 2 the square root.
     ends = "corridor, round 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]"
     assert of_preset[9:] == ["3 of 3 [0.29, 1.00]", ends]
     ends = "corridor, round 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]"
     assert of_other[9:] == ["2 of 2 [0.16, 1.00]", ends]
-    # The best J_R of the main table is the preset's, though the ablated runs' is higher.
+    # The best J_R in the main table is the preset's, though that of the other choice is higher.
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag, mean of 3")
     assert of_preset[5] == "**-14.00** range -20.00 to -10.00"
@@ -114,10 +115,10 @@ def test_each_part_of_sac_lb_streak_is_left_out_once():
         "without-speed": {"learning_rate", "temperature_lr", "batch_size", "gradient_steps"},
         "margin": {"streak_weight", "cost_limit"},
     }
-    unscaled = choices["without-scale"]["novelty_length"]  # the bonus's distance: 2 of 15
+    unscaled = choices["without-scale"]["novelty_length"]  # the same distance in other units
     assert unscaled == pytest.approx(2.0 / 15)
     changed["without-scale"].remove("novelty_length")
-    # Together the parts are all that it has beside SAC-LB.
+    # Together the parts are everything in which it differs from SAC-LB.
     parts = set().union(*(of for choice, of in changed.items() if choice != "margin"))
     assert parts == {k for k, v in vars(usual).items() if v != getattr(plain, k)}
     for choice in changed.keys() - {"margin"}:
@@ -127,7 +128,7 @@ def test_each_part_of_sac_lb_streak_is_left_out_once():
 
 
 def test_parts_have_a_table_of_their_own(tmp_path):
-    choices = {"": {}} | ablations("sac-lb-streak", TASK)  # in their order, not of the folders
+    choices = {"": {}} | ablations("sac-lb-streak", TASK)  # the table has this order
     for value, (choice, values) in enumerate(choices.items()):
         folder, j_r = tmp_path / f"of-{choice}", [-10.0 - value, -20.0]
         config = preset_with("sac-lb-streak", TASK, values)
@@ -144,8 +145,9 @@ def test_parts_have_a_table_of_their_own(tmp_path):
 
 
 def test_parts_over_all_tasks(tmp_path):
-    """Two runs of the preset against two without streak cost on either level, with equal records:
-    every division is as extreme. A part that one level alone has is not there."""
+    """Two runs of the preset against two without the streak cost, on each of two levels. Their
+    records are equal, so that every permutation is as extreme. A part that was left out on one
+    level alone is not in the table."""
     for task in (TASK, "Circle2D-2-v0"):
         choices = ablations("sac-lb-streak", task)
         shown = ["without-streak", "without-share"] if task == TASK else ["without-streak"]
@@ -167,8 +169,8 @@ def test_parts_over_all_tasks(tmp_path):
 
 
 def test_how_often_a_choice_is_the_nearest(folder):
-    """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
-    count. CPO has no other choice here."""
+    """TRPO-Lag's choices differ in J_R alone, in which SGD is nearer to the paper. Where measures
+    are equal, both choices count. CPO has no other choice here."""
     words = markdown(table(folder, STUDY))
     found = cells(words[words.index("Measures, over all tasks, in which") :])
     assert found[1:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]

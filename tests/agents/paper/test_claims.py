@@ -1,4 +1,5 @@
-"""The paper's claims against runs made up to reproduce them, not to, or to decide nothing."""
+"""The verdicts on the paper's claims, for made-up runs that reproduce them, contradict them, or
+decide nothing."""
 
 from dataclasses import replace
 from html import unescape
@@ -24,8 +25,10 @@ ALL = tuple(range(10))
 
 
 def run(seed, parts, rate, j_c, end, later_cost, early=(10, 40.0)):
-    """Ten episodes, the first four of another length and cost (early): only the others are after
-    the first third."""
+    """Return a run of ten episodes, of which the last six are after the first third of training.
+
+    early: length and cost of the first four episodes.
+    """
     measures = dict(zip(("EMCC_0.33", "EMCC_0.66", "EMCC_0.99"), parts, strict=True))
     measures |= {"cost_rate": rate, "J_R": -9.0, "J_C": j_c, "CVaR_0.5": j_c}
     cost = np.array([early[1]] * 4 + [later_cost] * 6)
@@ -36,12 +39,12 @@ def run(seed, parts, rate, j_c, end, later_cost, early=(10, 40.0)):
 
 
 def end_at(place, share=80):
-    """Most of 100 episodes at a place."""
+    """Return where 100 episodes end: `share` of them at a place, the others elsewhere."""
     return {"right rim" if place == "bottom rim" else "bottom rim": 100 - share, place: share}
 
 
 def as_the_paper_says(task, name):
-    """Ten runs for which every claim holds; seeds differ a little."""
+    """Return ten runs for which every claim holds; the seeds differ a little."""
     parts, rate, j_c, ends, later = (0.5, 0.4, 0.45), 0.1, 1.0, "right rim", 1.0
     early = (8, 30.0) if (name, task) == ("trpo-lag", SAFETY[2]) else (10, 40.0)
     if name in ("trpo-lag", "cpo"):
@@ -79,7 +82,7 @@ def group(task, name, runs, steps=None, **changes):
 
 @pytest.fixture
 def world(monkeypatch):
-    """Every run of the paper, by task and algorithm, with an EMCC that is not of its records."""
+    """Every run of the paper, by task and algorithm; EMCC is made up and not of the records."""
     monkeypatch.setattr(claims, "over_windows", lambda group: group)
     return {
         (task, name): as_the_paper_says(task, name) for task in PAPER_STEPS for name in ALGORITHMS
@@ -95,17 +98,18 @@ def verdicts(groups):
 
 
 def verdict_of(world, claim):
-    """That on one claim, counted from 1."""
+    """Return the verdict on one claim, counted from 1."""
     checked = CLAIMS[claim - 1].check(gather(groups_of(world)))
     return all_of(part.verdict for part in checked)
 
 
 def test_differences_are_of_the_second_less_the_first(world):
-    """SAC-Lag's cost rate is .2, TRPO-Lag's .1.
+    """By hand: SAC-Lag's cost rate is .2, TRPO-Lag's .1, and TRPO-Lag's EMCC falls from .5 to .2 in
+    every run.
 
-    EMCC of TRPO-Lag falls from .5 to .2 in every run. J_C of WCSAC is 1, 1.01, ... 1.09, of a
-    deviation of .03028: 1.045 ± 2.262 · .03028 / √10. Its EMCC_0.66 less CPO's is .6 - .35, where
-    both deviate by .00908: .25 ± 2.101 · .00908 √(2 / 10).
+    J_C of WCSAC is 1, 1.01, ... 1.09, with the standard deviation .03028, so that the interval is
+    1.045 ± 2.262 · .03028 / √10. Its EMCC_0.66 less CPO's is .6 - .35, both with the standard
+    deviation .00908, so that the interval is .25 ± 2.101 · .00908 √(2 / 10).
     """
     checked = check_claims(groups_of(world))
     for k, told in {
@@ -133,7 +137,7 @@ def test_claims_on_tasks_without_runs_are_left_out(world):
 
 
 def changed(runs, seeds, ends=None, records=None, **measures):
-    """Some runs with other numbers; two underscores in a name are a dot."""
+    """Return the runs with other numbers for some seeds; two underscores in a name are a dot."""
     measures = {k.replace("__", "."): v for k, v in measures.items()}
     return [
         replace(of, measures=of.measures | measures, ends=end_at(ends, 51) if ends else of.ends)
@@ -144,9 +148,9 @@ def changed(runs, seeds, ends=None, records=None, **measures):
 
 
 SCENARIOS = {
-    # which runs, what of which seeds, the claim (from 1), its verdict. Of 9 of 10 runs the lower
-    # end of the 95 % interval is .555, of 8 of 10 .444; one-sided at .05 / 9 the upper end of 0 of
-    # 10 is .405, of 1 of 10 .53; at .05 / 10 the lower end of 4 of 10 is .08, of 3 of 10 .04.
+    # Task and algorithm, seeds, their numbers, the claim (from 1), its verdict. The lower end of
+    # the 95 % interval is .555 for 9 of 10 runs and .444 for 8; the one-sided upper end at .05 / 9
+    # is .405 for 0 of 10 and .53 for 1; the lower end at .05 / 10 is .08 for 4 of 10 and .04 for 3.
     "one run stays within": (LEVEL[2], "trpo-lag", (0,), {"J_C": 5.0}, 1, "reproduced"),
     "two runs stay within": (LEVEL[2], "trpo-lag", (0, 1), {"J_C": 5.0}, 1, "undecided"),
     "nine runs stay within": (LEVEL[2], "trpo-lag", ALL[:9], {"J_C": 5.0}, 1, "undecided"),
@@ -182,7 +186,7 @@ SCENARIOS = {
     "cost rates of .1 to .2": (LEVEL[3], "cpo", (0, 1), {"cost_rate": 0.2}, 6, "undecided"),
     "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.36}, 6, "not reproduced"),
     "EMCC of .3 to .9": (LEVEL[3], "wcsac", ALL[1:], {"EMCC_0__66": 0.36}, 6, "undecided"),
-    # TRPO-Lag's late EMCC is .2 to .227, of which one seed with 1 makes the mean .29.
+    # TRPO-Lag's late EMCC is .2 to .227; with one seed of 1 the mean is .29.
     "CPO lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.19}, 7, "not reproduced"),
     "CPO equal": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.2135}, 7, "undecided"),
     "CPO higher but for a seed": (LEVEL[1], "cpo", (0,), {"EMCC_0__99": 0.2}, 7, "reproduced"),
@@ -205,7 +209,7 @@ SCENARIOS = {
     "CPO as cheap": (LEVEL[1], "cpo", ALL, {"J_C": 1.04}, 8, "undecided"),
     "WCSAC shorter early": (LEVEL[1], "wcsac", ALL, {"EMCC_0__33": 0.4}, 8, "not reproduced"),
     "on levels 2 and 3 not claimed": (LEVEL[2], "cpo", ALL, {"J_C": 0.5}, 8, "reproduced"),
-    # With bounds at .05 / 4 the upper end of 0 of 10 is .355; the lower end of 2 of 10 is .03.
+    # With bounds at .05 / 4 the upper end for 0 of 10 is .355, the lower end for 2 of 10 is .03.
     "all through": (
         LEVEL[2],
         "sac-lag",
@@ -235,7 +239,7 @@ def test_scenarios(world, scenario):
     assert verdict_of(world, claim) == verdict
 
 
-def test_off_policy_that_falls_everywhere(world):
+def test_an_off_policy_emcc_that_falls_on_every_task(world):
     for task in PAPER_STEPS:
         world[task, "sac-lb"] = changed(world[task, "sac-lb"], ALL, EMCC_0__99=0.1)
     assert verdict_of(world, 2) == "not reproduced"
@@ -250,8 +254,8 @@ def test_cost_late_in_training(world):
     assert verdict_of(world, 4) == "not reproduced"
 
 
-def test_what_decides_nothing(world):
-    assert verdicts(groups_of(world, steps=10_000)) == []  # no claim: nothing is of the grid
+def test_runs_that_decide_nothing(world):
+    assert verdicts(groups_of(world, steps=10_000)) == []  # no run is of the paper's length
     few = {key: runs[: 9 if key[0] in LEVEL else 2] for key, runs in world.items()}
     assert verdicts(groups_of(few)) == ["undecided"] * 11
     others = [
@@ -259,14 +263,14 @@ def test_what_decides_nothing(world):
         for task in LEVEL
     ]
     assert check_claims(others) == []
-    # Beside the runs of the preset they change nothing.
+    # Beside the preset's runs, those with another setting change no verdict.
     ablated = [group(of.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
     assert verdicts([*ablated, *groups_of(world)]) == ["reproduced"] * 11
 
 
 def test_another_choice_that_changes_a_verdict(world):
-    """SAC-Lag that waits with bootstrap on level 0 turns the third claim, and no other."""
+    """SAC-Lag that waits on level 0 with bootstrapping changes the third claim's verdict alone."""
     groups = [group(LEVEL[0], name, world[LEVEL[0], name]) for name in ALGORITHMS]
     waiting = changed(world[LEVEL[0], "sac-lag"], ALL, ends="right rim")
     nine, ten = (
@@ -288,7 +292,7 @@ def test_another_choice_that_changes_a_verdict(world):
 
 
 def test_runs_with_physics_have_claims_of_their_own(world):
-    """The same rules; runs with physics do not decide the paper's claims, nor others theirs."""
+    """The rules are the same. Neither kind of runs decides the claims about the other."""
     world = {(task, name): runs for (task, name), runs in world.items() if task in LEVEL}
     groups = groups_of(world)
     with_physics = [
@@ -323,8 +327,8 @@ def test_what_is_missing_is_named(world):
 
 
 def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
-    """A demo of the same seeds, whose costs would turn the first claim, in a folder before the
-    others; longer ones behind them."""
+    """The shorter runs stand before the full ones, the longer ones behind them. They have the same
+    seeds, and by their costs the first claim would not hold."""
     demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
     others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
     groups = groups_of(world)
@@ -336,8 +340,9 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
 
 
 def test_emcc_across_families_is_of_windows_of_ten_episodes():
-    """Every fortieth episode has a streak of half of it. Of the 20 windows that start in the second
-    third five have one, and the worst two count; of the 198 episodes five of the worst 19.8."""
+    """Every fortieth episode has a streak of half its length. Of the 20 windows that start in the
+    second third five have such an episode, and the worst two count. With windows of one episode
+    five of the worst 19.8 of 198 have one."""
     records = EpisodeRecords(
         np.arange(600), np.arange(600) * 10, np.full(600, 10), np.zeros(600), np.zeros(600),
         np.where(np.arange(600) % 10 == 3, 5, 0),
@@ -353,7 +358,7 @@ def test_emcc_across_families_is_of_windows_of_ten_episodes():
     assert not mixed([own, own]) and mixed([own, of_cpo])
     assert not mixed([over_windows(own), over_windows(of_cpo)])
     across = [k for k, claim in enumerate(CLAIMS, 1) if claim.across]
-    assert across == [6, 7, 8, 10, 11]  # which compare EMCC of both families
+    assert across == [6, 7, 8, 10, 11]  # the claims that compare EMCC of both families
     told = [of.findings for of in check_claims([own, of_cpo])]
     assert any("EMCC_0.66: WCSAC - CPO +0.00" in words for of in told for words, _ in of)
 

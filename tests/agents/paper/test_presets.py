@@ -1,4 +1,5 @@
-"""Presets against the paper's table HP_Circle2D, typed off; the grid of experiments as data."""
+"""Presets against the paper's tables HP_Circle2D and HP_SafetyGymnasium, typed in here; the grid of
+experiments."""
 
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -41,7 +42,7 @@ PRINTED = {
 }
 
 
-# Table HP_SafetyGymnasium: what differs there.
+# Episodes per epoch in table HP_SafetyGymnasium.
 SAFETY = {"SafetyPointCircle1-v0": 20, "SafetyPointGoal1-v0": 10, "SafetyHopperVelocity-v1": 10}
 SAFETY = {f"circle2d_mj/{task}": episodes for task, episodes in SAFETY.items()}
 
@@ -77,7 +78,7 @@ BASELINES = (
 
 @pytest.mark.parametrize("name", [*BASELINES, "sac-pid", "cal"])
 def test_presets_of_algorithms_that_the_paper_does_not_have(name):
-    """The limits of the tasks, and one set for all Safety tasks."""
+    """The limits are those of the tasks, and all Safety tasks have the same hyper-parameters."""
     here = preset(name, "Circle2D-1-v0")
     assert here.cost_limit == 5.0
     assert here.time_limit == ("bootstrap" if name in BASELINES else "terminal")
@@ -97,7 +98,7 @@ def test_presets_of_ppo_lag_and_sac_are_those_of_their_families():
 
 @pytest.fixture
 def subclass():
-    """Register an algorithm with a config class as "mine", like the built-in one given."""
+    """A function that registers a copy of a built-in algorithm, with another config, as "mine"."""
 
     def register(name, config):
         agents.register("mine", ALGORITHMS[name]._replace(config=config))
@@ -106,7 +107,7 @@ def subclass():
     algorithms._algorithms.registered.pop("mine", None)
 
 
-def test_a_default_of_ones_own_comes_before_the_preset(subclass):
+def test_own_defaults_of_a_subclass_come_before_the_preset(subclass):
     @dataclass(frozen=True)
     class Mine(ALGORITHMS["sac-lb"].config):
         cost_limit: float = 3.0
@@ -154,15 +155,14 @@ def test_a_subclass_of_sac_lb_streak_has_its_preset(subclass):
 
 
 def test_sac_lb_streak_is_sac_lb_but_for_some_values():
-    """One set of hyper-parameters for all levels and both modes, whose inputs are in units of
-    length."""
+    """All levels and both modes have the same hyper-parameters; inputs are divided by lengths."""
     tasks = [f"Circle2D-{level}-v0" for level in range(4)] + ["Circle2DMuJoCo-0-v0"]
     changes = {"random_exponent": 2.0, "streak_weight": 0.25, "input_scale": 15.0}
     changes |= {"learning_rate": 1e-3, "temperature_lr": 1.5e-4, "batch_size": 128}
     changes |= {"gradient_steps": 10, "time_limit": "terminal_cost"}
     changes |= {"random_share": 0.25, "novelty_bonus": 1.0}
     for task in tasks:
-        if "MuJoCo" in task:  # the velocity, in multiples of .11 R = 1.1 a step
+        if "MuJoCo" in task:  # velocities are in units of .11 R = 1.1 per step
             changes = changes | {"input_scale": (15.0, 15.0, 1.1, 1.1)}
         found = asdict(preset("sac-lb-streak", task))
         assert found == asdict(preset("sac-lb", task)) | changes
@@ -194,12 +194,12 @@ def test_the_papers_grid():
     for config in configs.values():
         assert config.hyperparameters == preset(config.algorithm, config.tasks[0])
         assert config.steps == 1_000_000
-    # Four tasks of three runs are one training; what takes longest goes first.
+    # Four tasks with three runs each are one training; the longest trainings come first.
     assert [folder.name for folder in configs][-1] == "trpo-lag"
     assert len(configs) == 5
 
 
-def test_tasks_train_together_where_they_are_alike_and_few():
+def test_alike_tasks_with_few_runs_are_one_training():
     tasks = papers.circle2d_tasks((0, 1), mujoco=False)
     assert list(grid.grid(Path("x"), tasks, ["cpo"], range(6))) == [Path("x/cpo")]
     apart = [Path("x") / task / "cpo" for task in tasks]
@@ -209,7 +209,7 @@ def test_tasks_train_together_where_they_are_alike_and_few():
     assert set(other) == {apart[0], Path("x/circle2d_mj-SafetyPointGoal1-v0/cpo")}
 
 
-def test_unknown_levels():
+def test_levels_must_be_given_and_keep_their_order():
     with pytest.raises(UserError, match="levels"):
         papers.circle2d_tasks((), mujoco=True)
     found = papers.circle2d_tasks((1, 0, 1), mujoco=True)
@@ -225,8 +225,8 @@ def test_shards_are_a_partition(tmp_path):
     assert {next(iter(part.values())).algorithm for part in parts[:2]} == {"sac-lb"}
 
 
-def test_the_benchmark():
-    """Nine tasks; ten seeds on Circle2D, five off-policy, three elsewhere."""
+def test_tasks_seeds_and_steps_of_the_benchmark():
+    """Nine tasks; ten seeds on Circle2D, or five off-policy, and three on the others."""
     configs = papers.benchmark(Path("x"), papers.BENCHMARK, ["cpo", "cal"])
     counts = {(c.tasks[0], c.algorithm): (len(c.seeds), c.steps) for c in configs.values()}
     assert len(counts) == 18

@@ -1,4 +1,4 @@
-"""Measures: the tidy frame of them, means, one from outside, and those that runs lack."""
+"""Measures: user-defined ones, values that runs lack, means, and the tidy frame of all values."""
 
 import sys
 from dataclasses import replace
@@ -25,20 +25,20 @@ SMALL = {"backend": "numpy", "random-steps": 40, "gradient-steps": 1, "batch-siz
 
 
 def worst_cost(run):
-    """Unknown of runs that cost nine steps an episode."""
+    """Return an eighth of the highest episode cost; None, as if unknown, where it is nine."""
     worst = float(run.records.cost.max())
     return None if worst == 9 else worst / 8
 
 
 @pytest.fixture
 def outside():
-    """A measure that the paper lacks, with a title and digits of its own."""
+    """A user-defined measure, which the paper does not have, with its own title and digits."""
     register(Measure("worst_cost", "worst episode", "cost", 3, "lower", worst_cost))
     yield
     unregister("worst_cost")
 
 
-def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
+def test_a_user_defined_measure_is_in_every_table_and_file(outside, tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
     write_evaluated(a / "trpo-lag", "trpo-lag", costs=(4, 5))
     values = ablations("trpo-lag", "Circle2D-1-v0")["sgd"]
@@ -68,7 +68,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
     assert float(of["B - A: TRPO-Lag (100 steps)", "difference", ""]["worst_cost"]) == 0.3125
     of = lines(a / "report.csv")
     assert float(of["CPO (100 steps)", "run", "1"]["worst_cost"]) == 0.375
-    # What runs lack is a dash, and empty for a program.
+    # A value that runs lack is a dash in tables and empty in files of numbers.
     of_lacking = rows(tables)["WCSAC, mean of 2"]
     assert of_lacking[head] == "–"
     assert of_lacking["EMCC_0.33"] == "0.90 range 0.90 to 0.90"
@@ -78,7 +78,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
 
 
 def rows(markdown):
-    """Cells of the first table by the name of the row and the head of the column."""
+    """Return the cells of the first table, by the row's name and the column's head."""
     head, *others = cells(markdown[markdown.index("| ") :].partition("\n\n")[0])
     return {row[0]: dict(zip(head, row, strict=True)) for row in others}
 
@@ -165,7 +165,7 @@ def test_a_training_whose_table_fails_by_a_measure_ends_with_its_traceback(tmp_p
     assert err.splitlines()[-1].startswith("circle2d: no table: measure 'mine' failed on run")
 
 
-def test_names_are_single_and_single_words():
+def test_names_of_measures_are_different_and_single_words():
     with pytest.raises(ValueError, match="there is a measure 'J_R' already"):
         register(measure("J_R"))
     with pytest.raises(ValueError, match="must be one word, got 'a b'"):
@@ -174,7 +174,7 @@ def test_names_are_single_and_single_words():
 
 
 def test_a_row_for_each_run_and_measure(tmp_path):
-    """CPO's seeds 0 to 2 and, in another folder, 3 and 4; WCSAC; on another level."""
+    """CPO has seeds 0 to 2 in a folder, 3 and 4 in another, and a run on another level."""
     write_evaluated(tmp_path / "a", "cpo", costs=(1, 2, 3))
     write_evaluated(tmp_path / "b", "cpo", costs=(4, 5), seeds=(3, 4))
     write_evaluated(tmp_path / "c", "wcsac", costs=(5, 6))
@@ -207,8 +207,7 @@ def test_a_row_for_each_run_and_measure(tmp_path):
             )
 
 
-def test_a_frame_of_folders(tmp_path):
-    """With the numbers of a book, windows, and why a run has no values."""
+def test_a_frame_has_printed_numbers_windows_and_failures(tmp_path):
     write_evaluated(tmp_path / "a", "cpo", costs=(1, 2))
     path = tmp_path / "a" / "results.npz"
     with np.load(path) as file:
@@ -230,7 +229,7 @@ def test_a_frame_of_folders(tmp_path):
 
 
 def test_a_cost_at_the_limit_is_within(tmp_path):
-    """A seed whose J_C is the limit, 5, is within it; one of 5.01 is not."""
+    """A J_C of 5 is within the limit of 5, one of 5.01 is not."""
     write_evaluated(tmp_path / "a", "cpo", costs=(4, 4), evaluated=((5.0,), (5.01,)))
     share = within_limit(groups_of(tmp_path / "a")[0])
     assert (share.count, share.runs) == (1, 2)

@@ -1,4 +1,4 @@
-"""Runs as they are read from folders and archives, and what is left out."""
+"""Runs read from folders and archives, what is left out, and damaged files."""
 
 import io
 import json
@@ -33,7 +33,7 @@ toys.register()
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Two trainings of which one holds two tasks and a run that failed, one that has not ended."""
+    """Trainings on two tasks, on a task where runs fail, and with two costs; one was stopped."""
     folder = tmp_path_factory.mktemp("runs") / "grid"
     more = TRPO | {"seeds": (0, 3), "steps": 300}
     tasks = (TASK, "Circle2D-3-v0")
@@ -55,7 +55,10 @@ def packed(runs, tmp_path_factory):
 
 
 def assert_equal_groups(ours, theirs, located=True):
-    """All that a report shows; returns of training's episodes to three digits of the largest."""
+    """Assert that groups agree in all that a report shows.
+
+    Returns of training's episodes agree to three digits of the largest.
+    """
     assert [(g.task, g.config, g.cost, g.seeds) for g in ours] == [
         (g.task, g.config, g.cost, g.seeds) for g in theirs
     ]
@@ -107,7 +110,7 @@ def test_a_run_of_several_costs_is_noted_once(runs, tmp_path):
 
 
 def write_old_archive(path, folder):
-    """Write an archive of versions before 0.4: bits of all steps, and no updates."""
+    """Write an archive as versions before 0.4 did: with the bits of all steps, without updates."""
     with zipfile.ZipFile(path, "w") as archive:
         for file in sorted(folder.rglob("config.json")):
             own = file.parent.relative_to(folder)
@@ -119,7 +122,7 @@ def write_old_archive(path, folder):
 
 
 def test_an_old_archive_is_converted_without_changing_a_number(runs, tmp_path):
-    """By windows of episodes too, and by all ties. Step costs are in no new archive."""
+    """Also with windows of episodes. New archives do not have the costs of single steps."""
     folder = shutil.copytree(runs, tmp_path / "runs", ignore=lambda *_: ["part", "steps"])
     old, new = tmp_path / "one" / "runs.zip", tmp_path / "two" / "runs.zip"
     old.parent.mkdir()
@@ -151,7 +154,8 @@ def test_an_old_archive_is_converted_without_changing_a_number(runs, tmp_path):
 
 @given(st.lists(st.floats(-1e6, 1e6).map(lambda x: round(x, 6)), min_size=1))
 def test_three_digits(values):
-    """They are those that Python writes, but halves; from float32, as archives hold them, again."""
+    """They are those that Python prints, except for halves, and stay the same in float32, as
+    archives hold them."""
     found = three_digits(np.array(values))
     np.testing.assert_allclose(found, [float(f"{x:.3g}") for x in values], rtol=0.0101)
     np.testing.assert_allclose(found, values, rtol=0.00501)
@@ -160,7 +164,7 @@ def test_three_digits(values):
 
 @given(st.lists(st.floats(-1e6, 1e6).map(lambda x: round(x, 6)), min_size=1))
 def test_returns_to_three_digits_of_the_largest(values):
-    """They are rounded as decimals; what is rounded stays, held by whole numbers below 1000."""
+    """They are rounded as decimals and held as integers below 1000; rounding again changes none."""
     whole, scale = thousandths(np.array(values))
     largest = max(map(abs, values))
     if largest:
@@ -174,21 +178,21 @@ def test_returns_to_three_digits_of_the_largest(values):
 
 
 @given(st.lists(st.tuples(st.integers(0, 1023), st.integers(0, 1023)), min_size=1))
-def test_a_path_is_what_was_packed(points):
+def test_a_packed_path_is_unpacked_as_it_was(points):
     path = np.array(points, dtype=np.uint16)
     np.testing.assert_array_equal(path_of(path_digits(path)), path)
 
 
 @given(st.lists(st.integers(0, 2**40), min_size=1))
-def test_digits(numbers):
-    """The lowest byte first, as Python writes them."""
+def test_integers_as_bytes(numbers):
+    """The lowest byte comes first, as in Python's `int.to_bytes`."""
     found = digits(np.array(numbers))
     for column, number in zip(found.T, numbers, strict=True):
         assert column.tobytes() == number.to_bytes(len(found), "little")
     assert of_digits(found).tolist() == numbers
 
 
-def test_a_path_into_an_archive(runs, packed):
+def test_a_folder_within_an_archive_can_be_read(runs, packed):
     for part in ("both", "Walk", "Walk/trpo-lag"):
         assert_equal_groups(read_groups([packed / part], []), read_groups([runs / part], []))
         assert name_of_source(packed / part) == Path(part).name
@@ -239,7 +243,7 @@ def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
         assert any("results.npz is missing" in n or "config.json is damaged" in n for n in notes)
         assert not any("codec" in note for note in notes)
     with zipfile.ZipFile(path, "a") as file:
-        file.comment = b"\xff"  # of another program
+        file.comment = b"\xff"  # as another program may write it
     assert read_groups([path], [])
 
 
@@ -267,7 +271,7 @@ def test_numbers_that_cannot_be_are_left_out(tmp_path, name, change):
 
 
 def test_several_sources_are_one(tmp_path):
-    """An archive of one algorithm and a folder of the other are as a folder of both."""
+    """An archive of one algorithm and a folder of another are read as one folder of both."""
     for name, costs in (("cpo", (2, 4, 3)), ("wcsac", (7, 9))):
         write_evaluated(tmp_path / "whole" / TASK / name, name, costs=costs)
         shutil.copytree(tmp_path / "whole" / TASK / name, tmp_path / name / "grid" / TASK / name)
@@ -294,8 +298,8 @@ def test_several_sources_are_one(tmp_path):
 
 
 def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
-    """The same numbers as of one training with all seeds, whatever the folders' order; a limit of 5
-    is one of 5.0."""
+    """They have the numbers of one training with all seeds, whatever the folders' order. A limit of
+    5 equals one of 5.0."""
     more = TRPO | {"steps": 300}
     folders = {"whole": ((0, 1, 2), 5.0), "p/one": ((0, 1), 5.0), "p/more": ((2,), 5)}
     for name, (seeds, limit) in folders.items():
@@ -316,8 +320,7 @@ def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
     assert_equal_groups(read_groups([tmp_path / "p.zip"], []), [pooled])
 
 
-def test_what_stays_apart(tmp_path):
-    """A seed that was trained twice, and other settings."""
+def test_folders_with_a_common_seed_or_other_settings_stay_apart(tmp_path):
     for name, seeds in (("a", (0, 1)), ("b", (2, 3)), ("c", (3, 4))):
         write_evaluated(tmp_path / "x" / name, "cpo", seeds, seeds=seeds)
     assert [group.folder for group in read_groups([tmp_path / "x"], [])] == ["a", "b", "c"]
@@ -342,16 +345,23 @@ def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
 
 
 NOT_FITTING = {
-    "trained/positions": lambda a: a[:-1],
-    "trained/unsafe": lambda a: a[1:],
-    "replay/drawn": lambda a: a[..., :-3],
-    "replay/box": lambda a: a[:1],
-    "replay/steps": lambda a: np.array([60, 60]),
-    "evaluation/deterministic/costs": lambda a: a[:, 0],
-    "evaluation/deterministic/lengths": lambda a: a[:-1],
-    "evaluation/deterministic/returns": lambda a: a[:, None],
-    "evaluation/deterministic/places": lambda a: a[:-1],
+    "visits": lambda a: a[:2],
+    "0/trained/positions": lambda a: a[:-1],
+    "0/trained/unsafe": lambda a: a[1:],
+    "0/replay/drawn": lambda a: a[..., :-3],
+    "0/replay/box": lambda a: a[:1],
+    "0/replay/steps": lambda a: np.array([60, 60]),
+    "0/evaluation/deterministic/costs": lambda a: a[:, 0],
+    "0/evaluation/deterministic/lengths": lambda a: a[:-1],
+    "0/evaluation/deterministic/returns": lambda a: a[:, None],
+    "0/evaluation/deterministic/places": lambda a: a[:-1],
 }
+PICTURES = {
+    "visits": "heat map",
+    "0/trained": "trajectories of seed 0",
+    "0/replay": "replay of seed 0",
+}
+"""What a report leaves out where these arrays are damaged."""
 
 
 @pytest.fixture(scope="module")
@@ -363,16 +373,17 @@ def one_run(tmp_path_factory):
 
 @pytest.mark.parametrize("name", NOT_FITTING)
 def test_arrays_that_do_not_fit_each_other_are_damage(one_run, tmp_path, name, capsys):
-    """Each is whole: an error of one line names the file and the array's shape, or the run. Where
-    they are of pictures, the report has all but these, and a note."""
+    """Though each array is whole, the report is an error of one line. Where the arrays are of
+    pictures, the report has everything but these, and a note with the array's shape."""
     folder = shutil.copytree(one_run, tmp_path / "cpo")
     arrays = dict(np.load(folder / "results.npz"))
-    key = f"{TASK}/0/{name}"
+    key = f"{TASK}/{name}"
     arrays[key] = NOT_FITTING[name](arrays[key])
     np.savez(folder / "results.npz", **arrays)
-    if name.startswith(("trained/", "replay/")):
-        what = {"trained": "trajectories", "replay": "replay"}[name.partition("/")[0]]
-        note = f"left out: {what} of seed 0 of cpo: cpo/results.npz is damaged: {key} has shape "
+    picture = PICTURES.get("/".join(name.split("/")[:2]))
+    if picture:
+        damage = f"cpo/results.npz is damaged: {key} has shape {[*arrays[key].shape]}"
+        note = f"left out: {picture} of cpo: {damage}"
         assert_left_out(folder, note, agents.load_runs(one_run).table())
         return
     assert main(["report", str(folder)]) == 2
@@ -383,24 +394,15 @@ def test_arrays_that_do_not_fit_each_other_are_damage(one_run, tmp_path, name, c
 
 
 def assert_left_out(folder, note, table):
-    """The report has the status 1, a note, and the rows of a table."""
+    """Assert that the report has the exit status 1, a note, and all rows of a table."""
     assert main(["report", str(folder)]) == 1
     words = (folder / "report.md").read_text()
     assert f"Note: {note}" in words.replace("\\", "")
     assert {row[0] for row in cells(table)} <= {row[0] for row in cells(words)}
 
 
-def test_visits_that_do_not_fit_are_damage(one_run, tmp_path):
-    folder = shutil.copytree(one_run, tmp_path / "cpo")
-    arrays = dict(np.load(folder / "results.npz"))
-    arrays[f"{TASK}/visits"] = arrays[f"{TASK}/visits"][:2]
-    np.savez(folder / "results.npz", **arrays)
-    note = f"left out: heat map of cpo: cpo/results.npz is damaged: {TASK}/visits has shape [2, "
-    assert_left_out(folder, note, agents.load_runs(one_run).table())
-
-
 def test_a_task_by_either_of_its_ids_is_one_task(tmp_path, capsys):
-    """A safety task has its own id and a longer one, which published runs have."""
+    """A Safety task has its own id and a longer one, which published runs use."""
     short, long = "SafetyPointGoal1-v0", "circle2d_mj/SafetyPointGoal1-v0"
     for name, task in (("short", short), ("long", long)):
         write_runs(tmp_path / name, task)

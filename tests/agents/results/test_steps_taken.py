@@ -1,5 +1,5 @@
-"""Trainings take whole epochs: labels, axes and thirds are of the steps taken, not of those asked
-for."""
+"""Trainings take whole epochs: labels, axes and thirds of training refer to the steps taken, not to
+those asked for."""
 
 import json
 
@@ -16,13 +16,13 @@ from agents.results.reading import read_groups
 from agents.results.statistics import by_third
 
 STREAKS = [0, 0, 0, 10, 0, 5, 0, 0, 2, 0]
-"""Of ten episodes of ten steps. By the 100 steps taken they are in the first, second and last
-third; by the 75 asked for the first would be in the second third, the second in the last."""
+"""The longest streaks of ten episodes of ten steps. In the 100 steps taken, those above 0 are in
+the first, second and last third; in 75 steps the first two would be in later thirds."""
 THIRDS = [1.0, 0.5, 0.2]
 
 
 def write(folder, asked, name="ppo-lag", task="Circle2D-1-v0"):
-    """Two runs that were asked for so many steps and took 100."""
+    """Write two runs that took 100 steps where `asked` were asked for."""
     costs = [cost for streak in STREAKS for cost in chain(streak, 10)]
     write_evaluated(folder, name, [costs, costs], task=task)
     config = json.loads((folder / "config.json").read_text())
@@ -34,7 +34,7 @@ def test_thirds_are_of_the_steps_taken(tmp_path, capsys):
     (group,) = read_groups([write(tmp_path / "a", 75)], [])
     for run in group.runs:
         assert [run.measures[f"EMCC_{part}"] for part in (0.33, 0.66, 0.99)] == THIRDS
-    # Cost steps of each third by its steps: the episodes that start at 0 to 30, 40 to 60, 70 to 90.
+    # Cost steps per step of each third, whose episodes start at 0 to 30, 40 to 60 and 70 to 90.
     assert by_third(group, "rate") == {0.33: [10 / 40] * 2, 0.66: [5 / 30] * 2, 0.99: [2 / 30] * 2}
     assert emcc.__main__.main([str(tmp_path / "a")]) == 0
     row = capsys.readouterr().out.splitlines()[-1].split()
@@ -58,14 +58,15 @@ def test_every_label_has_the_steps_taken(tmp_path):
         words = (tmp_path / "all" / name).read_text()
         assert "100 steps" in words
         assert "75 steps" not in words
-        assert ("(100 steps)" in words) == name.endswith(".csv")  # a length that all have: once
+        # A length that all runs have is in no name, but in files of numbers.
+        assert ("(100 steps)" in words) == name.endswith(".csv")
     assert "unequal length" not in (tmp_path / "all" / "report.md").read_text()
     names = {line["algorithm"] for line in lines_of(tmp_path / "all" / "report.csv")}
     assert {"PPO-Lag (100 steps)", "SAC-Lag (100 steps)"} <= names
     assert "unequal length" not in markdown(compare(a, b))
 
 
-def test_unequal_totals_are_told(tmp_path):
+def test_trainings_of_unequal_length_are_named(tmp_path):
     a, b = tmp_path / "all" / "a", tmp_path / "all" / "b"
     write(a, 75, task=TASK)
     write_runs(b)  # of 120 steps
@@ -76,7 +77,7 @@ def test_unequal_totals_are_told(tmp_path):
 
 
 def test_train_says_that_it_rounds_up(tmp_path, capsys):
-    """An epoch of two episodes of 50 steps."""
+    """An epoch has two episodes of 50 steps."""
     given = [word for k, v in TRPO.items() for word in (f"--{k.replace('_', '-')}", v)]
     given = [str(w) for word in given for w in (word if isinstance(word, tuple) else (word,))]
     for steps, told in ((60, True), (100, False)):
