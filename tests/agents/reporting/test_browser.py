@@ -1,4 +1,4 @@
-"""The page in a browser, opened from the disk, as a reader has it."""
+"""The report's page in a browser, opened from the disk as a reader would."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def background(page):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
-def test_it_fits_and_says_what_it_shows(opened, width, scheme):
+def test_the_page_fits_its_width_and_describes_its_pictures(opened, width, scheme):
     page = opened(width, scheme)
     for details in page.locator("details").all():
         details.evaluate("element => element.open = true")
@@ -114,7 +114,7 @@ def test_every_run_can_be_chosen(opened, page_file):
 
 
 def test_what_is_drawn_is_what_was_recorded(opened, page_file):
-    """Every window of a run, against its files: path, cost, longest streak."""
+    """Path, cost and longest streak in every window of a run, against the run's files."""
     page = opened()
     page.select_option("#replay-algorithm", label="CPO (3,000 steps)")
     page.select_option("#replay-seed", label="1")

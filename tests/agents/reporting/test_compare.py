@@ -1,4 +1,4 @@
-"""Two sets of runs side by side, from files written by hand."""
+"""Comparisons of two sets of runs, from files written by hand."""
 
 import math
 import re
@@ -18,7 +18,7 @@ RIM = [[[1.0, 0.0]]]
 
 
 def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
-    """A run for each of some returns, of ten episodes of ten steps with four at a cost."""
+    """Write a run for each return, with ten episodes of ten steps of which four cost."""
     episode = [*chain(streak, 9), 1.0] if streak < 4 else chain(4, 10)
     costs = [episode * 10 for _ in j_r]
     write_evaluated(folder, name, costs, task=task, returns=j_r, at=RIM)
@@ -26,12 +26,12 @@ def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
 
 
 def rows(words):
-    """Cells by the row's name, which says of p values for how many tests they are corrected."""
+    """Return the cells by the row's name, without the number of tests that p is corrected for."""
     words = re.sub(r"p, corrected for \d+ \(Holm\)", "p", words)
     return {row[0]: row[1:] for row in cells(words)}
 
 
-def test_by_hand(tmp_path):
+def test_two_seeds_against_two_by_hand(tmp_path):
     a = write_runs(tmp_path / "a", "trpo-lag", [-10.0, -20.0])
     b = write_runs(tmp_path / "b", "cpo", [-5.0, -9.0], streak=3)
     words = markdown(compare(a, b))
@@ -41,7 +41,7 @@ def test_by_hand(tmp_path):
     assert found["A: TRPO-Lag, mean of 2"][8] == "2 of 2 [0.16, 1.00]"  # 4.25 is within 5
     assert found["B - A: CPO - TRPO-Lag"][4] == "+8.00"
     assert found["B - A: CPO - TRPO-Lag"][0] == "-0.10"
-    # Of the six divisions of two against two, two are as extreme; where all are equal, all.
+    # Two of the six permutations are as extreme as the runs, or all where the values are equal.
     assert found["p"][:6] == ["1.000"] * 6
     assert found["P(B better)"][:6] == [*["1.00"] * 3, "0.50", "1.00", "0.50"]
     numbers = ("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "4.25", "4.00")
@@ -51,7 +51,8 @@ def test_by_hand(tmp_path):
 
 
 def test_five_seeds_have_intervals_and_tests(tmp_path):
-    """J_R of 1 to 5 less 100, against 2 to 10: means 3 and 6, variances 2.5 and 10.
+    """J_R is -100 plus 1, 2, ... 5 against -100 plus 2, 4, ... 10: the means differ by 3, the
+    variances are 2.5 and 10.
 
     Welch's t interval: 3 ± t √(2.5/5 + 10/5), with 2.5² / (.5²/4 + 2²/4) = 5.88 degrees of freedom.
     """
@@ -77,7 +78,7 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     assert float(found["p"][4]) == pytest.approx(min(1, 8 * expected), abs=0.0006)
     words = agents.compare(a, b)
     assert "| p, corrected for 8 (Holm) " in words
-    # Asked about alone, it is the p value itself; of two measures twice that.
+    # If it is the only measure asked for, p is not corrected; with two measures it is doubled.
     for asked, factor in (("J_R", 1), (["J_R", "J_C"], 2)):
         words = agents.compare(a, b, tmp_path / "asked", measures=asked)
         assert float(rows(words)["p"][4]) == pytest.approx(factor * expected, abs=0.0006)
@@ -98,8 +99,8 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
 
 
 def test_runs_too_few_for_a_test_are_named(tmp_path):
-    """Complete separation: of 3 against 3 the least p is 2 / 20, of 3 against 4 it is 1 / 35, here
-    times the number of measures. Of 6 against 6, 2 / 924, there is a p below .05."""
+    """For completely separated runs the least p is 2 / 20 with 3 runs against 3 and 1 / 35 with 3
+    against 4, times the number of measures. With 6 against 6, 2 / 924, p can be below .05."""
     a = write_runs(tmp_path / "a", "cpo", [-10.0, -11.0, -12.0])
     for runs, ways in ((3, 10), (4, 35)):
         b = write_runs(tmp_path / f"b{runs}", "cpo", [-1.0 - k / 10 for k in range(runs)])
@@ -115,11 +116,11 @@ def test_runs_too_few_for_a_test_are_named(tmp_path):
 
 
 def test_over_tasks_few_runs_decide(tmp_path):
-    """Three runs a side with returns of a side, and streaks of 3 and 4 of 10 steps, on two tasks.
+    """Three runs on each side, with streaks of 4 and 3 of 10 steps, on two tasks.
 
-    B is lower in every EMCC by .1, in every run: of 20 divisions of each task one is the observed
-    one, and one of all 400 its opposite. Cost rates are equal. Holm multiplies by 4 measures, then
-    by 1."""
+    In every run of B every EMCC is lower by .1: of 20² permutations within the tasks the observed
+    one and its opposite are the most extreme. Cost rates are equal. Holm's factors are 4, ... 1.
+    """
     for side, name, streak in (("a", "trpo-lag", 4), ("b", "cpo", 3)):
         for level in (1, 2):
             folder = tmp_path / side / str(level)
@@ -146,7 +147,7 @@ def test_over_tasks_few_runs_decide(tmp_path):
     assert markdown(tables) == (out / "compare.md").read_text()
 
 
-def test_what_is_written(tmp_path, capsys):
+def test_the_command_prints_the_tables_and_writes_files_where_asked(tmp_path, capsys):
     a = write_runs(tmp_path / "a", "cpo", [-10.0, -20.0])
     b = write_runs(tmp_path / "b", "cpo", [-5.0, -9.0])
     before = sorted(tmp_path.rglob("*"))
@@ -178,7 +179,7 @@ def test_what_is_written(tmp_path, capsys):
     assert "| p, corrected for 2 (Holm) " in capsys.readouterr().out.replace(printed, "")
 
 
-def test_over_tasks_seeds_that_all_have(tmp_path):
+def test_over_tasks_only_seeds_of_every_task_count(tmp_path):
     """Task 1 has seeds 0 to 2, task 2 seeds 0 and 1: the last run of task 1 is not used."""
     for side, name, streak in (("a", "trpo-lag", 4), ("b", "cpo", 3)):
         write_runs(tmp_path / side / "1", name, [0.0, 0.0, 0.0], streak=streak)
@@ -192,8 +193,8 @@ def test_over_tasks_seeds_that_all_have(tmp_path):
     assert len(compare(tmp_path / "a", tmp_path / "b")) == 3
 
 
-def test_each_cost_stands_against_itself(tmp_path):
-    """Cost steps of A are 2 and 4 of 10, and of the second cost 6 and 8; those of B one fewer."""
+def test_each_cost_is_compared_with_itself(tmp_path):
+    """In A's runs 2 and 4 of 10 steps cost, for the second cost 6 and 8; in B's one fewer."""
     for side, first, second in (("a", (2, 4), (6, 8)), ("b", (1, 3), (5, 7))):
         write_evaluated(tmp_path / side, "cpo", first, second=second)
     found = rows(markdown(compare(tmp_path / "a", tmp_path / "b")))

@@ -1,4 +1,4 @@
-"""The figures of a report, against loops over episodes."""
+"""The curves in a report's figures, against loops over episodes."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ TOTAL = 4000
 
 
 def records(seed):
-    """Episodes of 5 to 40 steps, two a rollout."""
+    """Return records of episodes of 5 to 40 steps, two in each rollout."""
     rng = np.random.default_rng(seed)
     length = rng.integers(5, 41, 200)
     length = length[: np.searchsorted(np.cumsum(length), TOTAL) + 1]
@@ -37,7 +37,7 @@ TASK = "Circle2D-1-v0"
 
 
 def group(records, places=("",)):
-    """Runs of CPO that end in some places in turn."""
+    """Return a group of CPO's runs, which end at the places in turn."""
     config = TrainConfig("cpo", (TASK,), tuple(range(len(records))), TOTAL, preset("cpo", TASK))
     ends = [{places[k % len(places)]: 1} for k in range(len(records))]
     runs = [RunResult(k, {}, 1, ends[k], of_run) for k, of_run in enumerate(records)]
@@ -50,8 +50,8 @@ THREE, FIVE = group(RUNS[:3]), group(RUNS)
 
 @pytest.mark.parametrize("column", ["reward", "cost"])
 def test_episode_means_by_a_loop(column):
-    """Of three runs with their range, of five with the t interval, and of five that end in
-    different places with their range."""
+    """Three runs have their range, five the t interval, and five that end in different places
+    their range."""
     other_places = group(RUNS, ("here", "there"))
     found = [figures.episode_means(line, column) for line in (THREE, FIVE, other_places)]
     lowest = 0.0 if column == "cost" else -math.inf
@@ -97,7 +97,7 @@ def test_running_emcc_by_a_loop():
         assert (curve.low[k], curve.high[k]) == (min(values), max(values))
 
 
-def test_emcc_of_the_thirds():
+def test_emcc_of_the_thirds_by_a_loop():
     curve = thirds_emcc(THREE)
     for k, (low, high) in enumerate(((0, 0.33), (0.33, 0.66), (0.66, 0.9901))):
         values = []
@@ -108,7 +108,7 @@ def test_emcc_of_the_thirds():
         assert (curve.low[k], curve.high[k]) == (min(values), max(values))
 
 
-def test_one_run_has_a_line_alone():
+def test_one_run_has_a_line_and_no_area():
     curve = thirds_emcc(group(RUNS[:1]))
     assert np.isfinite(curve.mean).all()
     assert np.isnan(curve.low).all()

@@ -1,4 +1,4 @@
-"""Films: what each picture shows, panels that keep step, frames that tasks render themselves."""
+"""Films: what each picture shows, panels side by side, and frames that tasks render themselves."""
 
 import re
 
@@ -18,7 +18,7 @@ from circle2d_mj.circle2d.view import Circle2DView
 
 
 class Drawn(Walk):
-    """A walk that draws its own frames: pixels of six times the steps so far."""
+    """A walk that renders frames whose pixels are six times the number of steps so far."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
@@ -31,7 +31,7 @@ class Drawn(Walk):
 
 
 class Undrawn(Drawn):
-    """A walk that promises frames and has none."""
+    """A walk that declares frames and renders None."""
 
     def render(self):
         return None
@@ -49,7 +49,7 @@ def walks(tmp_path_factory):
 
 
 def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
-    """Of the evaluated episodes, each state once: their lengths and costs are in the records."""
+    """The film shows each state of the evaluated episodes once; lengths and costs are recorded."""
     folder, out = walks / "Drawn", tmp_path / "film.gif"
     with np.load(folder / "results.npz") as file:
         prefix = "DrawnFilm-v0/4/evaluation/deterministic/"
@@ -64,8 +64,8 @@ def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
         assert {*range(0, n, 4), n} <= {*few.frames} < {*range(n + 1)}
     command = ["render", str(folder), "--out", str(out), "--size", "64"]
     assert main([*command, "--frames", "mujoco", "--every", "3"]) == main(command) == 0
-    frames = imageio.imread(out)  # a picture that is held is one
-    # In the middle of the panel is the frame, which is twice as wide as it is high.
+    frames = imageio.imread(out)  # a picture that is held is a single frame
+    # The task's frame, twice as wide as it is high, is in the middle of the panel.
     levels = [frame[frame.shape[0] // 2, frame.shape[1] // 2].astype(int) for frame in frames]
     times = [k for episode in episodes for k in range(len(episode.costs) + 1)]
     assert len(frames) == len(times)
@@ -73,13 +73,13 @@ def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
 
 
 def test_a_long_episode_is_shown_in_two_hundred_pictures(tmp_path):
-    """500 steps: every third, and the last."""
+    """Of 500 steps it shows every third state, and the last."""
     command = "render pretrained:trpo-lag/SafetyPointCircle1-v0 --episodes 1 --size 64 --out"
     assert main([*command.split(), str(tmp_path / "film.gif")]) == 0
     assert len(imageio.imread(tmp_path / "film.gif")) == len({*range(0, 500, 3), 500})
 
 
-@pytest.mark.filterwarnings("ignore")  # of gymnasium, on the same mistakes
+@pytest.mark.filterwarnings("ignore")  # gymnasium warns about the same mistakes
 @pytest.mark.parametrize(
     ("folder", "out", "message"),
     [
@@ -101,13 +101,13 @@ COSTS = [0, 1, 1, 0, 1]
 
 
 def episode(steps, costs=COSTS):
-    """Along the x axis, one world unit a step."""
+    """Return an episode along the x axis, by one unit of the arena per step."""
     path = np.stack((12.0 - np.arange(steps + 1), np.zeros(steps + 1)), axis=1)
     return Episode(path, np.array(costs[:steps], float))
 
 
 def agent(picture):
-    """Mean column of the pixels in the agent's colour."""
+    """Return the mean column of the pixels in the agent's colour."""
     return np.nonzero((picture == np.array(AGENT)).all(axis=-1))[1].mean()
 
 
@@ -120,12 +120,12 @@ def test_a_film_shows_every_state_and_waits_for_the_longer_episode():
     assert {picture.shape for picture in shown} == {shown[0].shape}
     left = [agent(picture[:, : width // 2]) for picture in shown[: 5 + 1]]
     right = [agent(picture[:, width // 2 :]) for picture in shown[: 5 + 1]]
-    step = 96 / 30  # pixels a world unit: the arena is 30 wide
+    step = 96 / 30  # pixels per unit: the arena is 30 units wide
     np.testing.assert_allclose(np.diff(left), -step, atol=0.8)
     np.testing.assert_allclose(np.diff(right), [*[-step] * 3, 0, 0], atol=0.8)
 
 
-def test_the_running_cost_by_hand():
+def test_the_words_on_a_picture_have_the_cost_and_streak_so_far():
     for steps, cost, streak in ((0, 0, 0), (3, 2, 2), (5, 3, 2)):
         words = f"episode 2, step {steps}: cost {cost}, longest streak {streak}"
         assert pictures._words(2, episode(5), steps) == words

@@ -1,4 +1,4 @@
-"""Maps and replay of the page against positions, costs and records worked out here."""
+"""The page's maps and replay, against positions, costs and records computed here."""
 
 import base64
 import io
@@ -41,7 +41,7 @@ def image_of(content):
 
 @pytest.fixture
 def groups(tmp_path):
-    """Three folders, the second without positions and the third with the second run alone."""
+    """Groups of three folders: the second without visits, the third with its second run alone."""
     for name in ("a", "b", "c"):
         write_runs(tmp_path / name)
         evaluate(tmp_path / name)
@@ -52,8 +52,8 @@ def groups(tmp_path):
     return [a, b, replace(c, runs=c.runs[1:], trainings=[part])]
 
 
-def test_the_layers_are_those_of_the_view():
-    """Put together in another way, they give the view's picture."""
+def test_the_layers_of_a_scene_give_the_views_picture():
+    """Composed here as a browser does, against the view's own composition."""
     scenes = Scenes()
     task = of_task("Circle2D-3-v0")
     scene = scenes.get(task, [])
@@ -74,7 +74,7 @@ def of_task(task):
 
 
 def test_heat_by_hand():
-    """None, one, three and nine visits where the most is nine; and more than that."""
+    """The colours of 0, 1, 3 and 9 visits where the most is 9, and of more visits than that."""
     counts = np.array([[0, 1], [3, 9], [81, 0]])
     image = image_of(heat_png(counts, 9))
     assert image[..., 3].tolist() == [[0, 255], [255, 255], [255, 0]]
@@ -89,8 +89,8 @@ def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
     assert not any(str(tmp_path) in note for note in notes)
     assert shown.columns == [TITLE] * 2
     assert shown.rows[0] == "0 to 33 % of training"
-    # By small_runs' table of streaks, of 4 rollouts a run in each part, with α = .1: MCC .8 1 .4
-    # .6, then 1 .2 .8 0, then .2 .6 .4 .2.
+    # By small_runs' table of streaks, the 4 rollouts of a run have the MCC .8 1 .4 .6, then
+    # 1 .2 .8 0, then .2 .6 .4 .2 in the thirds of training; α is .1.
     rows = np.arange(240, dtype=np.float32).reshape(12, 10, 2) / 100
     expected = []
     for worst in (1, 4, 9):
@@ -111,7 +111,7 @@ def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
 
 
 class Played(RunResult):
-    """A run whose policy's episodes are given."""
+    """A run whose evaluated episodes are EPISODES."""
 
     def trained(self):
         return EPISODES
@@ -136,13 +136,14 @@ def test_paths_of_trained_policies(groups):
     assert isinstance(one, Map)
     assert other.words == "seed 0: J_R -5.2, J_C 3.0"
     assert one.words == two.words == "seed 1: J_R -5.2, J_C 3.0"
-    # A unit is 1000 / 30 thousandths; y falls from 15. Costs belong to where the step ended.
+    # A unit is 1000 / 30 thousandths of the width, and y points down from 15. A cost is drawn where
+    # its step ended.
     assert one.way == "M900 450l" + " ".join(["-33 0", "-34 0", "-33 0"] * 3 + ["-33 0"])
     assert one.costs == "M833 450h0M800 450h0M567 450h0"
 
 
 @pytest.mark.parametrize("steps", [1, 2, 127, 128, 129, 500, 1001])
-def test_states_of_long_episodes(steps):
+def test_long_episodes_are_drawn_by_some_of_their_states(steps):
     shown = shown_states(steps)
     assert len(shown) <= STATES + 1
     assert shown[0] == 0
@@ -152,7 +153,7 @@ def test_states_of_long_episodes(steps):
 
 
 def test_a_cost_between_two_drawn_states_is_shown():
-    """Of 1000 steps every eighth is drawn; the one that cost is the 500th."""
+    """Every eighth state of 1000 steps is drawn; the 500th step costs."""
     scene = Scenes().get(of_task("Circle2D-1-v0"), [])
     costs = np.zeros(1000)
     costs[499] = 1.0
@@ -164,7 +165,7 @@ def test_a_cost_between_two_drawn_states_is_shown():
     assert way.count(" 0") >= 120
 
 
-def test_tasks_without_a_view_have_curves_alone(groups):
+def test_tasks_without_a_view_have_curves_but_no_maps(groups):
     other, notes = [replace(g, task="NoView-v0") for g in groups], []
     with registered(NoView=NoView):
         assert maps(other, Scenes(), notes) == []
@@ -194,7 +195,7 @@ def test_the_safety_tasks_have_heat_maps(tmp_path):
 
 @pytest.fixture
 def runs(tmp_path):
-    """Two runs of 24 episodes of 5 steps, each with a chain of cost steps at its beginning."""
+    """Two runs of 24 episodes of 5 steps, each of which begins with a chain of cost steps."""
     write_runs(tmp_path / "a")
     evaluate(tmp_path / "a")
     streaks = [streak for pair in STREAKS for streak in pair]
@@ -206,7 +207,7 @@ def bits(text):
     return np.unpackbits(np.frombuffer(base64.b64decode(text), np.uint8))
 
 
-def test_every_number(runs):
+def test_every_number_of_the_replay(runs):
     notes = []
     data = replay_data(groups_of(runs.folder / "a"), Scenes(), notes)
     assert notes == []
@@ -214,7 +215,7 @@ def test_every_number(runs):
     assert [run["seed"] for run in data["runs"]] == [0, 1]
     for seed, run in enumerate(data["runs"]):
         assert (run["task"], run["algorithm"]) == ("Circle2D-3-v0", "SAC-Lag (120 steps)")
-        # Windows of two steps: an episode each, in those where one starts.
+        # Windows have two steps; the episode that starts in a window is shown.
         assert run["start"] == [5 * k for k in range(24)]
         assert run["window"] == [5 * k // 2 for k in range(24)]
         assert (run["length"], run["cost"]) == (5, None)
@@ -225,12 +226,12 @@ def test_every_number(runs):
         low, high = np.reshape(run["box"], (2, 2))
         off = np.abs(low + points * (high - low) / 1023 - visited)
         assert (off <= 0.51 * (high - low) / 1023).all()
-    # The middle of 50 points lies at 61.2 of 120 steps: rollouts that start in [55.2, 67.2].
+    # Point 25 of 50 lies at step 61.2 of 120; its EMCC is of rollouts that start in [55.2, 67.2].
     assert data["runs"][0]["emcc"][25] == round(1000 * max(runs.streaks[12:14]) / 5)
 
 
-def test_costs_and_lengths_that_differ(runs):
-    """Costs other than 0 and 1 are summed, and lengths told one by one, where they must be."""
+def test_a_replay_of_other_costs_and_different_lengths(runs):
+    """Costs other than 0 and 1 are given as sums, and lengths that differ one by one."""
     folder, lengths = runs.folder / "b", [5] * 22 + [10]
     write_runs(folder, weight=2.5, lengths=lengths, each=1)
     evaluate(folder)
@@ -247,7 +248,7 @@ def test_runs_that_cannot_be_replayed(runs):
     assert notes == ["no replay of a: it has no positions"]
 
 
-def test_of_many_runs_the_first_seeds(runs, monkeypatch):
+def test_a_replay_of_many_runs_has_the_first_seeds(runs, monkeypatch):
     monkeypatch.setattr("agents.reporting.maps.REPLAYED", 1)
     notes = []
     data = replay_data(groups_of(runs.folder / "a") * 2, Scenes(), notes)
@@ -255,6 +256,6 @@ def test_of_many_runs_the_first_seeds(runs, monkeypatch):
     assert notes == ["seeds of each algorithm in the replay: 1"]
 
 
-def test_names_cannot_end_the_script():
+def test_names_cannot_end_the_pages_script():
     assert json.loads(script_json({"a": "</script><b>"})) == {"a": "</script><b>"}
     assert "<" not in script_json({"a": "</script><b>"})

@@ -1,4 +1,4 @@
-"""Settings of many values in names, and the length of episodes."""
+"""Names of groups: settings of many values, numbers of steps, their order; lengths of episodes."""
 
 import re
 
@@ -39,7 +39,7 @@ def test_a_long_text_is_counted_too():
 
 @pytest.mark.parametrize("early", [True, False])
 def test_lengths_are_shown_where_they_differ(tmp_path, early):
-    """Episodes of 3 and 4 steps that all cost, within the limit of 5, beside those of 10."""
+    """Episodes of 3 and 4 steps beside episodes of 10."""
     write_evaluated(tmp_path / "a", "cpo", (2, 3), evaluated=((3.0, 4.0),))
     write_evaluated(tmp_path / "b", "trpo-lag", (2, 3), evaluated=((3.0, 4.0),))
     if early:
@@ -60,7 +60,7 @@ def test_lengths_are_shown_where_they_differ(tmp_path, early):
 
 @pytest.mark.parametrize("differ", [True, False])
 def test_names_have_the_number_of_steps_only_where_it_differs(tmp_path, differ):
-    """One that all on a task have is said once, in the caption; files of numbers always have it."""
+    """A number that all runs on a task have is in the caption; files of numbers always have it."""
     write_evaluated(tmp_path / "a", "cpo", (2, 3))
     if differ:
         write_runs(tmp_path / "b", task=TASK)
@@ -84,7 +84,7 @@ def test_names_have_the_number_of_steps_only_where_it_differs(tmp_path, differ):
 
 @pytest.mark.parametrize("one_by_one", [True, False])
 def test_folders_that_are_given_one_by_one_keep_their_order(tmp_path, one_by_one):
-    """Those below a folder, whose order nobody gave, stand in that of the algorithms."""
+    """Folders below a given one are ordered by their algorithms."""
     given = ["wcsac", "cpo", "trpo-lag"]
     folders = [tmp_path / "runs" / name for name in given]
     for folder in folders:

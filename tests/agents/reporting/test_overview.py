@@ -1,4 +1,4 @@
-"""Figures, tables and ranks over all tasks, against counts and means worked out here."""
+"""Figures, tables and ranks over all tasks, against counts and means computed here."""
 
 import re
 from dataclasses import replace
@@ -33,8 +33,10 @@ STEPS, EPISODES = 3000, 60
 
 
 def run(seed, cost, streak, end="corridor"):
-    """60 episodes of 50 steps, each with as many cost steps, and a longest streak; the last third
-    costs nothing."""
+    """Return a run of 60 episodes of 50 steps, each with this cost and longest streak.
+
+    The last third of training costs nothing.
+    """
     start = 50 * np.arange(EPISODES)
     costs = np.where(start < 0.66 * STEPS, cost, 0)
     streaks = np.minimum(costs, streak)
@@ -53,26 +55,20 @@ def group(task, name, runs):
 
 @pytest.fixture
 def groups():
-    """CPO and WCSAC with equal cost rates of about .2 and longest streaks of about 2 and 8 steps;
-    TRPO-Lag with a cost rate of .4 and streaks of 8."""
+    """CPO and WCSAC with equal cost rates of about .2 and longest streaks of about 2 and 8 steps,
+    and TRPO-Lag with a cost rate of .4 and streaks of 8, each on two tasks."""
     found = []
     for task in TASKS:
         for name, cost, streak in (("trpo-lag", 20, 8), ("cpo", 10, 2), ("wcsac", 10, 8)):
-            # Cost rates and streaks of other seeds are a little higher.
+            # Cost rates and streaks of some seeds are a little higher.
             runs = [run(seed, cost + seed % 2, streak + seed % 3) for seed in range(6)]
             found.append(group(task, name, runs))
     return found
 
 
-def test_thirds_of_a_run_by_hand():
-    measures = run(0, 10, 4).measures
-    assert [measures[f"rate_{part}"] for part in PARTS] == [0.2, 0.2, 0.0]
-    assert [measures[f"EMCC_{part}"] for part in PARTS] == pytest.approx([0.08, 0.08, 0.0])
-
-
 def test_rollouts_of_several_episodes_stay_together():
-    """Rollouts of two episodes of 100 steps; the last third begins within the third one, which
-    belongs to the second third as a whole."""
+    """Rollouts have two episodes of 100 steps. The last third begins within the third rollout,
+    which belongs to the second third as a whole."""
     cost, streak = [10, 0, 20, 0, 30, 40, 0, 0], [10, 0, 5, 0, 30, 20, 0, 0]
     number, length = np.arange(8), np.full(8, 100)
     records = EpisodeRecords(number // 2, 100 * number, length, np.zeros(8), cost, streak)
@@ -86,7 +82,7 @@ def test_rollouts_of_several_episodes_stay_together():
 
 def test_a_dot_for_each_run_and_a_cross_for_each_printed_value(groups):
     text = intervals_figure([*map(printed, groups)]).content.decode()
-    columns = 7  # no run has a mean streak here
+    columns = 7  # these runs have no mean streak
     for colour in ("#0072b2", "#d55e00", "#e69f00"):
         uses = re.findall(f"<use [^>]*fill: {colour}", text)
         assert len(uses) == len(TASKS) * columns * 6
@@ -107,20 +103,20 @@ def test_profiles_are_shares_of_rollouts(groups, monkeypatch):
     monkeypatch.setattr(Axes, "plot", noted)
     profiles_figure(groups)
     assert len(drawn) == len(groups) * 3
-    thresholds, shares = drawn[3]  # CPO in the first third: all rollouts of a run are alike
+    thresholds, shares = drawn[3]  # CPO in the first third, where all rollouts of a run are alike
     streaks = [2 + k % 3 for k in range(6)]
     expected = [fmean(streak / 50 > tau for streak in streaks) for tau in thresholds]
     assert shares == pytest.approx(expected)
 
 
 def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
-    """In the first two thirds of both tasks CPO and WCSAC are; in the last one nobody costs."""
+    """Such are CPO and WCSAC in the first two thirds of both tasks; the last has no costs."""
     pairs = comparisons(groups)
     found = pairs[pairs.equal_rates & (pairs.emcc_p <= 0.05)].itertuples()
     named = [(x.a.task, x.part, x.a.config.algorithm, x.b.config.algorithm) for x in found]
     assert named == [(task, part, "cpo", "wcsac") for task in TASKS for part in (0.33, 0.66)]
     table = separated_table(groups)
-    # 2 tasks x 3 thirds x 3 pairs; of the last thirds all six have equal rates, and equal EMCC.
+    # 2 tasks x 3 thirds x 3 pairs; all six pairs in the last thirds have equal rates and EMCC.
     assert (
         "Of 18 comparisons the cost rate does not tell 10 apart, of which EMCC tells 4 apart; 10 "
         "have equal cost rates, of which EMCC tells 4 apart: these are listed." in table.caption
@@ -132,12 +128,12 @@ def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
     values = [cell.value for cell in row.numbers]
     assert values[:3] == pytest.approx([rate, rate, 0])
     assert values[4:7] == pytest.approx([*streaks, streaks[1] - streaks[0]])
-    # The most extreme of 924 divisions, and its mirror; 12 of 18 pairs differ as far as can be.
+    # The most extreme of 924 permutations and its mirror; 12 of 18 pairs are that extreme.
     assert values[7] == pytest.approx(18 * 2 / 924, rel=0.4)
 
 
 def test_unequal_spreads_are_not_equal_rates(groups):
-    """Cost rates that no test tells apart, since they differ wildly, are not equivalent."""
+    """Rates with so large a spread that no test tells them apart are not equivalent, either."""
     wild = [run(k, 10 + 30 * (k % 2), 8) for k in range(6)]
     pair = [groups[1], group(TASKS[0], "wcsac", wild)]
     compared = comparisons(pair)
@@ -156,13 +152,13 @@ def test_fewer_than_five_runs_are_in_no_comparison(groups):
     assert separated_table(few) is over_tasks(few) is None
 
 
-def test_runs_are_compared_by_the_same_cost(groups):
+def test_runs_are_only_compared_by_the_same_cost(groups):
     other = [replace(of, cost="cost_2") for of in groups]
     assert len(comparisons([*groups, *other])) == 2 * len(comparisons(groups))
 
 
 def test_tables_over_tasks_are_of_one_cost(groups):
-    """WCSAC's runs, of another cost, are not ranked against it; they change nothing else."""
+    """Runs of another cost, here WCSAC's, are not ranked, and change nothing but a note."""
     of_other = [
         replace(of, cost="cost_2") if of.config.algorithm == "wcsac" else of for of in groups
     ]
@@ -182,7 +178,7 @@ def test_over_tasks_by_hand(groups):
     assert names[3::2] == [f"P({a} better than {b})" for a, b in pairs]
     assert names[4::2] == ["p, corrected for 12 (Holm)"] * 3
     assert table.head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
-    # Streaks 2 3 4 2 3 4 on either task: of twelve values the middle six are 2 3 3 3 3 4 or so.
+    # CPO's streaks are 2 3 4 2 3 4 on each task; the interquartile mean is of the middle six.
     streaks = sorted([2, 3, 4] * 4)
     assert table.rows[1].numbers[0].value == pytest.approx(fmean(streaks[3:9]) / 50)
     rates = [[40 * (cost + k % 2) / STEPS for k in range(6)] for cost in (20, 10)]
@@ -194,8 +190,8 @@ def test_over_tasks_by_hand(groups):
     low, high = table.rows[7].numbers[3].low, table.rows[7].numbers[3].high
     assert low < 0.5 < high  # equal cost rates
     p_values = [number.value for number in table.rows[8].numbers]
-    assert max(p_values[:2]) < 0.01  # of 924² divisions within the tasks the most extreme
-    assert p_values[2:] == [1, 1]  # nobody costs in the last third
+    assert max(p_values[:2]) < 0.01  # the most extreme of 924² permutations within the tasks
+    assert p_values[2:] == [1, 1]  # the last third has no costs
     assert "corrected for the 12 comparisons of this table" in table.caption
 
 
@@ -210,8 +206,8 @@ def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
 
 
 def test_ranks_of_what_can_be_compared(groups):
-    """CPO has the highest return; WCSAC, at 4 an episode, violates no limit of 5 and costs least. A
-    longer training of CPO with more runs is of a length that no other algorithm has."""
+    """CPO has the highest return. WCSAC, with a cost of 4 an episode, violates no limit of 5 and
+    costs least. A longer training of CPO is left out, since no other algorithm has its length."""
     changed = []
     for of in groups:
         runs = of.runs
@@ -241,21 +237,25 @@ agents.register("mine", cpo.ALGORITHM._replace(title="Mine"))
 
 
 def test_ranks_and_probability_of_improvement():
-    """Task 1: means 1, 2, 3; task 2: 2 (runs 1 and 3), 2, 1. Mean ranks (1 + 2.5)/2, (2 + 2.5)/2,
-    (3 + 1)/2. The first is better on task 1 with 1; on task 2 than the second with ½, than the
-    third, which ties with one run, with ¼: (1 + .375)/2."""
+    """The means are 1, 2, 3 on task 1 and 2 (of the runs 1 and 3), 2, 1 on task 2: the mean ranks
+    are (1 + 2.5)/2, (2 + 2.5)/2 and (3 + 1)/2.
+
+    The first is better than the others with probability 1 on task 1. On task 2 it is better than
+    the second with ½ and than the third, with one tie, with ¼: in the mean (1 + .375)/2.
+    """
     first = [np.array(v) for v in ([1.0, 1.0], [2.0], [3.0, 3.0, 3.0])]
     second = [np.array(v) for v in ([1.0, 3.0], [2.0, 2.0], [1.0, 1.0])]
     ranks, wins = overall.ranks_and_wins([first, second])
     assert ranks[0].tolist() == [1.75, 2.25, 2.0]
     assert wins[0, 0] == pytest.approx(0.6875)
-    # Drawn again, the runs (1, 3) are (1, 1) with ¼: tied with the third for the best.
+    # A bootstrap sample of the runs (1, 3) is (1, 1) with ¼, which ties with the third for rank 1.
     assert np.mean(ranks[1:, 0] == (1 + 1.5) / 2) == pytest.approx(0.25, abs=0.05)
-    assert wins[1:].sum(axis=1) == pytest.approx(1.5)  # of each pair one is the better
+    assert wins[1:].sum(axis=1) == pytest.approx(1.5)  # each of three pairs adds 1 / 2
 
 
-def test_what_is_ordered_otherwise():
-    """One of three pairs, A and B: .1 before .2, but .5 after .2; tau = (2 - 1)/3."""
+def test_pairs_that_emcc_orders_otherwise_than_the_cost_rate():
+    """One of three pairs: A's rate of .1 is below B's .2, but its EMCC of .5 is above B's .2.
+    Kendall's tau is (2 - 1)/3."""
     rates = {"A": [0.1, 0.1], "B": [0.3, 0.1], "C": [0.3, 0.3]}
     emccs = {"A": [0.5, 0.5], "B": [0.1, 0.3], "C": [0.6, 0.6]}
     rates, emccs = ({k: 3 * v for k, v in of.items()} for of in (rates, emccs))
@@ -270,7 +270,7 @@ def test_what_is_ordered_otherwise():
 
 
 @pytest.mark.slow
-def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
+def test_a_user_defined_algorithm_is_ranked_beside_published_ones(tmp_path, monkeypatch):
     monkeypatch.setattr(algorithms._algorithms, "registered", {})
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_method.py").write_text(MINE)
@@ -280,7 +280,7 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
         agents.train(name, tasks, out=tmp_path / "published" / name, **more)
     published = read_groups([tmp_path / "published"], [])
     write_archive(tmp_path / "published.zip", published)
-    assert overall.RANKS not in overall.tables_over_tasks(published)  # of two algorithms
+    assert overall.RANKS not in overall.tables_over_tasks(published)  # too few: two algorithms
     command = ["reproduce", "--benchmark", "--tasks", *tasks, "--quick", "--seeds", "0", "1"]
     command += ["--steps", "1100", "--workers", "1"]
     command += ["--import", "my_method", "--algorithms", "mine", "--out", "mine"]
@@ -296,18 +296,18 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
 
 
 def test_rank_by_emcc_less_that_by_the_cost_rate_and_probabilities(groups):
-    """Nobody costs in the last third: all have rank 2 by EMCC; by the cost rate 3, 1.5 and 1.5."""
+    """Without costs in the last third all have rank 2 by EMCC; by the cost rate 3, 1.5 and 1.5."""
     table = overall.ranks_table(overall.comparable(groups), [])
     values = [[cell.value for cell in row.numbers] for row in table.rows]
     assert [row[-1] for row in values[::2]] == [-1, 0.5, 0.5]
     assert [row[3] for row in values[1::2]] == pytest.approx([0, 0.75, 0.75])
 
 
-def test_orders_by_hand(groups):
+def test_the_table_of_pairs_that_emcc_orders_otherwise(groups):
     runs = [run(seed, 10 + seed % 2, 12) for seed in range(6)]
     changed = [replace(g, runs=runs) if g.config.algorithm == "wcsac" else g for g in groups]
     row = overall.orders_table(overall.comparable(changed)).rows[0]
-    assert row.ends == "WCSAC, TRPO-Lag"  # a cost rate of .21 before .41, MCC of .21 after .18
+    assert row.ends == "WCSAC, TRPO-Lag"  # cost rates of .21 and .41, EMCC of .21 and .18
     counted, _, rate, emcc = (cell.value for cell in row.numbers)
     assert (counted, rate, emcc) == (1, pytest.approx(-0.2), pytest.approx(10.5 / 50 - 9 / 50))
 
@@ -316,7 +316,7 @@ def test_the_emcc_of_a_third_is_of_its_worst_tenth():
     streaks = np.array([10, 20, 30, *[0] * 57])
     records = replace(run(0, 20, 20).records, longest_streak=streaks)
     values = measured(RunResult(0, {}, 0, {}, records), "")
-    assert values["EMCC_0.33"] == pytest.approx(25 / 50)  # of 20 the two highest
+    assert values["EMCC_0.33"] == pytest.approx(25 / 50)  # the two highest of 20
 
 
 def test_violation_rates_and_intervals_by_hand():
@@ -326,7 +326,7 @@ def test_violation_rates_and_intervals_by_hand():
     assert (found.value, found.low, found.high) == (7, 25, 975)
 
 
-def test_of_several_groups_that_of_most_runs_is_ranked(groups):
+def test_of_several_groups_of_an_algorithm_the_one_with_most_runs_is_ranked(groups):
     more = replace(groups[1], runs=[run(seed, 10, 2) for seed in range(8)])
     for order in ([*groups, more], [more, *groups]):
         assert len(overall.comparable(order)["CPO"][TASKS[0]].runs) == 8

@@ -1,4 +1,4 @@
-"""The page that holds everything."""
+"""The report's page: one file that fetches nothing, escapes names and links to its parts."""
 
 from html.parser import HTMLParser
 
@@ -16,7 +16,7 @@ from agents.training.trainer import train
 
 
 class Page(HTMLParser):
-    """Images, ids, links within the page, and what a browser would fetch."""
+    """Parse a page: its images, ids, links within the page, and what a browser would fetch."""
 
     def __init__(self, text):
         super().__init__()

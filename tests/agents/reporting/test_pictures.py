@@ -1,4 +1,4 @@
-"""Heat maps and films of runs: what they are of, and that files hold it."""
+"""Heat maps and films of runs: which steps and episodes they show, and the files of commands."""
 
 import shutil
 
@@ -25,13 +25,13 @@ from circle2d_mj.render.gl import NoOpenGL
 @pytest.mark.parametrize(
     ("part", "alpha", "rollouts", "mcc"),
     [
-        # Starts below 39.6: rollouts 0 to 3, with MCC .8, 1, .4, .6; from 39.6 to 79.2: 4 to 7,
-        # with 1, .2, .8, 0; to 118.8: 8 to 11, with .2, .6, .4, .2.
+        # Rollouts 0 to 3 start below step 39.6, with the MCC .8, 1, .4, .6; 4 to 7 start below
+        # 79.2, with 1, .2, .8, 0; and 8 to 11 below 118.8, with .2, .6, .4, .2.
         (0.33, 0.1, [1], 1.0),
         (0.33, 0.5, [0, 1], 0.9),
         (0.66, 0.5, [4, 6], 0.9),
         (0.66, 1.0, [4, 5, 6, 7], 0.5),
-        (0.99, 0.75, [8, 9, 10, 11], 0.4),  # of the two with .2 half of each
+        (0.99, 0.75, [8, 9, 10, 11], 0.4),  # the two with .2 count half each
     ],
 )
 def test_the_dominating_rollouts_by_hand(tmp_path, part, alpha, rollouts, mcc):
@@ -62,7 +62,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader
 def test_commands_write_pictures_and_films(folder, tmp_path, capsys, monkeypatch):
-    """They need no OpenGL; nor do reports: test_reproduce.py."""
+    """They need no OpenGL; test_reproduce.py shows the same of reports."""
 
     def nothing(*_):
         raise NoOpenGL("install one")
@@ -72,7 +72,7 @@ def test_commands_write_pictures_and_films(folder, tmp_path, capsys, monkeypatch
     for command, name, shape in (
         ("heatmap", "h.png", None),
         ("render", "t.png", None),
-        # Two episodes of 50 steps, their starts, and their ends, which stay a while.
+        # Two episodes of 50 steps with their starts; their last pictures are held.
         ("render", "f.mp4", 2 * (51 + HELD)),
         ("render", "f.gif", None),
     ):
@@ -104,7 +104,7 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
 
 
 def test_a_frame_of_steps_that_cost_has_an_orange_edge():
-    """The third of five steps costs, and every second one is filmed."""
+    """The third of five steps costs, and every second state is filmed."""
     grey = png(np.full((64, 64, 3), 128, np.uint8))
     frames = dict.fromkeys((0, 2, 4, 5), grey)
     episode = pictures.Filmed(frames, np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
@@ -135,7 +135,7 @@ def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys):
 
 
 def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
-    """A folder beside its copy: two equal columns, each of three thirds below each other."""
+    """A folder and its copy have equal columns, each with the thirds of training."""
     copy, out = tmp_path / "x", tmp_path / "both.png"
     shutil.copytree(folder, copy)
     size, gap = 96, 96 // 24
@@ -146,7 +146,7 @@ def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
         both = imageio.imread(out)
         assert len(both) > 3 * size
         end = both.shape[1] - gap
-        scale = slice(0, -5 * gap // 2)  # below the maps, of both
+        scale = slice(0, -5 * gap // 2)  # without the colour scale below the maps
         return (both[scale, end - size : end], both[scale, end - 2 * size - gap : end - size - gap])
 
     np.testing.assert_array_equal(*columns())

@@ -1,4 +1,4 @@
-"""Learning curves for papers: what is drawn, whose names and colours, and that files are equal."""
+"""Learning curves for papers: what is drawn, with which names and colours, and equal files."""
 
 import re
 
@@ -20,7 +20,7 @@ def runs(tmp_path):
 
 
 def lines_drawn(monkeypatch, *args, **options):
-    """Of each line that a plot draws its name, colour and values."""
+    """Return the name, colour and values of each line that a plot draws."""
     drawn = []
 
     def draw(axis, name, style, at, curve):
@@ -32,10 +32,8 @@ def lines_drawn(monkeypatch, *args, **options):
     return drawn
 
 
-def test_curves_are_means_over_seeds_with_names_and_colours_of_ones_own(
-    runs, tmp_path, monkeypatch
-):
-    """Every episode of ten steps costs as much as its run's number says."""
+def test_curves_are_means_over_seeds_with_the_given_names_and_colours(runs, tmp_path, monkeypatch):
+    """Every episode of a run has the cost in the fixture."""
     how = {"names": {"CPO": "ours"}, "colours": {"TRPO-Lag": "C3"}}
     out = tmp_path / "new" / "figure.svg"
     found = lines_drawn(monkeypatch, runs, out=out, measures=["cost", "return"], **how)

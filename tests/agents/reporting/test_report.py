@@ -1,5 +1,5 @@
-"""Rows of a report: ways, what is left out, names, marks against the paper's own; their numbers:
-test_report_numbers.py. How a report was made: commands that train the same again, machine, time."""
+"""A report's rows: ways, runs left out, names, and marks against the paper's; LaTeX; and how a
+report was made: commands, machine, time. test_report_numbers.py checks the numbers."""
 
 import json
 import re
@@ -31,11 +31,12 @@ from agents.results.reading import read_groups
 from agents.training import config
 from agents.training.config import TrainConfig
 
-AT = [[[-0.5, 0.0]] * 3 + [[1.0, 0.0]]]  # of the arena: (-7.5, 0) is in the corridor
+AT = [[[-0.5, 0.0]] * 3 + [[1.0, 0.0]]]  # in units of the arena; (-7.5, 0) is in the corridor
 
 
 def test_ways_in_words(tmp_path):
-    """Of four episodes three end in the corridor: with the costs 4, 5 and 12 one came round."""
+    """Three of four episodes end in the corridor, with the costs 4, 5 and 12 in the first run: one
+    of them came round the cost region."""
     evaluated = ((4.0, 5.0, 12.0, 0.0), (0.0, 0.0, 3.0, 50.0))
     write_evaluated(tmp_path, "sac-lag", (4, 4), evaluated=evaluated, at=AT)
     words = markdown(table(tmp_path))
@@ -49,7 +50,7 @@ def test_ways_in_words(tmp_path):
 
 
 class Own(Study):
-    """A study with a number and a claim."""
+    """A study with a printed number and a claim."""
 
     def printed(self, group):
         return replace(group, printed={"J_R": 7.0}, publication="book (9 seeds)")
@@ -59,7 +60,7 @@ class Own(Study):
         return [Section("Its claims", statements=[Statement("CPO learns", verdict, "", [])])]
 
 
-def test_a_study_adds_to_a_report_and_the_closing_table_gathers_no_claims(tmp_path, monkeypatch):
+def test_a_study_adds_rows_and_sections_to_a_report_and_rows_to_a_table(tmp_path, monkeypatch):
     write_evaluated(tmp_path, "cpo", costs=(1, 2))
     plain = markdown(report(tmp_path).blocks)
     assert "paper" not in plain
@@ -68,12 +69,12 @@ def test_a_study_adds_to_a_report_and_the_closing_table_gathers_no_claims(tmp_pa
     assert "CPO, book (9 seeds)" in words
     assert "Of 1 groups" in words
     assert "Its claims" in written.page.read_text()
-    monkeypatch.setattr(Own, "sections", None)  # cannot be asked
+    monkeypatch.setattr(Own, "sections", None)  # a table must not ask for claims
     assert "CPO, book (9 seeds)" in markdown(table(tmp_path, Own()))
 
 
 def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
-    """One of five runs is whole, two lack their last rollouts, one its steps, and one failed."""
+    """One of five runs is complete, two lack their last rollouts, one its steps, and one failed."""
     write_evaluated(tmp_path, "cpo", costs=(1, 2, 3, 4, 5))
     changes = {f"Circle2D-1-v0__{k}__length": np.full(8, 10) for k in (2, 3)}
     changes |= {f"Circle2D-1-v0__{k}__rollouts": np.ones(8, int) for k in (2, 3)}
@@ -95,7 +96,7 @@ def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
 
 
 def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
-    """In report.md and on the terminal; the page escapes them anyway."""
+    """In report.md and on the terminal; test_page.py has the page."""
     folder = tmp_path / "<script>alert(1)<" / "\x1b[31mred"
     write_evaluated(folder, "cpo", costs=(4, 4))
     edit_results(folder, **{"Circle2D-1-v0__1__evaluation__deterministic__returns": None})
@@ -107,7 +108,7 @@ def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
 
 
 def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
-    """In every table and legend; what is alone on its task keeps the short name."""
+    """In every table and legend; a group whose name is unique keeps the short name."""
     for folder, name in {"first": "cpo", "second": "cpo", "alone": "trpo-lag"}.items():
         write_evaluated(tmp_path / "runs" / folder, name, costs=(1, 2))
     text = markdown(report(tmp_path / "runs").blocks)
@@ -125,7 +126,7 @@ def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 NAMES = {"TRPO-Lag": 0, "CPO": 1, "SAC-Lag": 2, "SAC-LB": 3, "WCSAC": 4}
 T, C, S, B, W = range(5)
-# The bold cells of the paper's two tables, from its source; rows in the order of MEASURES.
+# The bold cells of the paper's two tables, from its LaTeX source, in the order of MEASURES.
 BOLD = {
     "Circle2D-0": [{B}, {B, W}, {S}, {W}, {S}, {S}, {S}],
     "Circle2D-1": [{T}, {T}, {T}, {W}, {S}, {S, W}, {S, W}],
@@ -136,10 +137,10 @@ BOLD = {
     "SafetyHopperVelocity-v1": [{S}, {C}, {C}, {C}, {T}, {T}, {T}],
 }
 BEYOND_ITS_RULE = {("Circle2D-1", W, "J_C"), ("Circle2D-1", W, "CVaR_0.5")}
-"""WCSAC's costs are marked there as well, though its return is not the highest."""
+"""The paper marks WCSAC's costs as well, though its return is not the highest."""
 
 
-def test_the_papers_marks():
+def test_the_best_cells_are_those_that_the_paper_marks():
     printed = json.loads(files("agents.paper").joinpath("printed.json").read_text())["results"]
     assert set(printed) == set(BOLD)
     for task, bold in BOLD.items():
@@ -169,8 +170,8 @@ def test_equal_to_two_digits_is_equal_and_one_alone_is_not_best():
     assert not {m for m in best({0: (two, False), 1: (two, False)}) if m[1] == "J_R"}
 
 
-def test_what_is_not_known_is_not_marked():
-    """Neither are rows without a cost limit for what they reach, nor a measure that one row has."""
+def test_unknown_values_are_not_marked():
+    """Nor is the return of a row without a cost limit, nor a measure that only one row has."""
     one, two = values(0.3, -3.0, 1.0), values(0.4, -2.0, 1.0)
     marked = best({0: (one | {"EMCC_0.33": None}, True), 1: (two, True), 2: (two, None)})
     assert {key for key, name in marked if name == "EMCC_0.33"} == {1, 2}
@@ -206,8 +207,8 @@ def test_the_command_trains_the_same(tmp_path):
         ("ppo-lag", {"streak_limit": 3.0, "streak_alpha": 0.25, "normalize_observations": True}),
     ],
 )
-def test_what_is_true_or_false_is_a_flag(name, changes, tmp_path, monkeypatch):
-    """The command is read as `main` reads it; instead of a training there is its configuration."""
+def test_settings_of_true_or_false_are_flags_of_the_command(name, changes, tmp_path, monkeypatch):
+    """`main` reads the command; the configuration is compared, and nothing is trained."""
     own = replace(preset(name, "Circle2D-1-v0"), **changes)
     config = TrainConfig(name, ("Circle2D-1-v0",), (4,), 150, own)
     read = []
@@ -235,7 +236,7 @@ def test_the_command_imports_what_registers_algorithm_and_task():
         assert said == " ".join(["circle2d train mine", *(f"--import {m}" for m in imports)])
 
 
-def test_what_is_told(tmp_path):
+def test_a_report_tells_commands_steps_and_training_time(tmp_path):
     for name in ("cpo", "wcsac"):
         write_evaluated(tmp_path / name, name, costs=(1, 2))
         write_status(tmp_path / name, 1.0, **{name: 300.4})
@@ -273,7 +274,7 @@ def test_the_commit_is_told_where_it_is_known(tmp_path, monkeypatch):
     assert provenance.program().endswith(f", commit {head}-dirty")
 
 
-def test_latex_has_the_means_and_what_letters_mean_there():
+def test_latex_has_the_means_and_escapes_characters():
     mean = Number(-4.25, 2, -5.0, -3.5, marked=True)
     rows = [
         Row(
@@ -306,7 +307,7 @@ def test_latex_has_the_means_and_what_letters_mean_there():
         r"\end{table}",
         "% Note: a note",
     ]
-    # Of the paper's columns it has one.
+    # The default columns are the paper's, of which this table has one.
     assert r"Task\_1 & $J_{R}$ \\" in table.latex().splitlines()
     table = Table("", ["", "EMCC_0.33", "my_measure"], [Row("A", [Number(1.0), Number(2.0)])])
     assert r" & EMCC$_{0.33}$ & my\_measure \\" in table.latex(("EMCC_0.33", "my_measure"))
@@ -323,7 +324,7 @@ def test_latex_has_the_means_and_what_letters_mean_there():
     ],
 )
 def test_the_caption_in_latex_explains_what_stands_below_the_means(tmp_path, seeds, at, said):
-    """Brackets and parentheses that are there are said, and no others; and the cost limit."""
+    """It explains brackets and parentheses only where there are some, and gives the cost limit."""
     for name, number in zip(("cpo", "trpo-lag"), seeds, strict=False):
         ends = at and [[[-0.5, 0.0]]] + [[[1.0, 0.0]]] * (number - 1)
         write_evaluated(tmp_path / name, name, range(1, number + 1), at=ends)

@@ -1,6 +1,6 @@
 """Every number of a report, recomputed from the raw steps of its runs.
 
-The environments write down what they give; `by_hand` makes the numbers of it.
+Patched environments record every step, from which `by_hand` computes the numbers.
 """
 
 import re
@@ -28,11 +28,11 @@ from agents.reporting.report import report
 from circle2d_mj.core.envs import TaskEnv
 
 TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1500, 20, 5
-EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch
+EPISODES = {"cpo": 10, "wcsac": 1}  # in an epoch
 PRINTED = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 MEASURES = (*PRINTED, "mean_streak")
 N = len(SEEDS)
-PAPER = {  # tables Circle2DResults and EMCC of the paper, level 3
+PAPER = {  # from the paper's tables Circle2DResults and EMCC, level 3
     "cpo": (0.47, 0.31, 0.20, 0.11, -19.22, 8.28, 12.00),
     "wcsac": (0.56, 0.57, 0.50, 0.11, -15.40, 0.01, 0.01),
 }
@@ -62,7 +62,7 @@ def written():
 
 @pytest.fixture(scope="module")
 def raw(written, tmp_path_factory):
-    """A report's folder, and by algorithm and choice the numbers of each run."""
+    """A report's folder, and the numbers of each run by algorithm and choice."""
     out = tmp_path_factory.mktemp("raw")
     numbers = {}
     runs = [("cpo", "", []), ("wcsac", "", []), ("wcsac", "b", ["--time-limit", "bootstrap"])]
@@ -80,8 +80,10 @@ def raw(written, tmp_path_factory):
 
 
 def numbers_of(environments, of_epoch):
-    """The numbers of each run. Environments come run by run: `of_epoch` of each in training, and at
-    last ten of each, which play the evaluated episodes in turns by the deterministic policy first.
+    """Return the numbers of each run from the episodes of all environments.
+
+    Environments come run by run: each run has `of_epoch` of them in training, and then ten for its
+    evaluation. These take turns with the evaluated episodes, the deterministic policy's first.
     """
     evaluating = environments[-10 * len(SEEDS) :]
     training = environments[: -10 * len(SEEDS)][-of_epoch * len(SEEDS) :]
@@ -100,7 +102,7 @@ def column(runs, name):
 
 
 def check_rows(rows, numbers):
-    """Every row is known and every number right; returns how many rows there were."""
+    """Assert that the rows are the expected ones and that every number in them is right."""
     preset, other = "terminal (preset)", "bootstrap"
     means = {f"{TITLES[name]}, mean of {N}": numbers[name] for name in EPISODES}
     means[f"{TASK}, WCSAC, {preset}, mean of {N}"] = numbers["wcsac"]
@@ -135,13 +137,13 @@ def check_rows(rows, numbers):
 
 
 def table_after(out, start, head):
-    """The rows below the head that begins so, of the part of the report that begins there."""
+    """Return the rows of the first table whose head begins with `head`, after the text `start`."""
     text = (out / "report.md").read_text()
     _, _, text = text[text.index(start) :].partition(f"| {head}")
     return cells_of("| " + text.partition("\n\n")[0].replace("**", ""))
 
 
-def test_the_tables(raw):
+def test_the_numbers_in_tables_and_on_the_page(raw):
     out, numbers = raw
     rows = table_after(out, "EMCC: alpha", TASK)
     rows += table_after(out, "Other choices", "task, algorithm and choice")
@@ -155,7 +157,7 @@ def test_the_tables(raw):
         assert re.search(f"{start}{between.join(own)}(?:</small>)?</td>", page), row
 
 
-def test_all_ties_instead_of_split(raw):
+def test_the_table_of_all_ties_instead_of_split_ones(raw):
     out, numbers = raw
     rows = table_after(out, "EMCC is the mean of the highest tenth", "task, algorithm and ties")
     found = {name: cells for name, *cells in rows}
@@ -168,8 +170,8 @@ def test_all_ties_instead_of_split(raw):
                 assert is_mean(cell, of, column(runs, of), runs), (name, way, cell)
 
 
-def test_the_numbers_for_a_program(raw):
-    """The same as in the tables, with all digits that float32 leaves."""
+def test_the_numbers_in_report_csv(raw):
+    """They are those of the tables, to the precision of float32."""
     out, numbers = raw
     names = {"cpo": "CPO", "wcsac": "WCSAC", "wcsacb": "WCSAC (time_limit bootstrap)"}
     expected = {}
@@ -180,7 +182,7 @@ def test_the_numbers_for_a_program(raw):
         form = interval("J_R", values["J_R"], numbers[key])[0]
         ends = ("mean lowest", "mean highest") if "range" in form else ("mean low", "mean high")
         expected[name, "mean", ""] = list(map(fmean, values.values()))
-        expected[name, "iqm", ""] = [  # a quarter of 5: 1
+        expected[name, "iqm", ""] = [  # without the lowest and the highest of five
             fmean(sorted(of)[1:-1]) for of in values.values()
         ]
         for k, kind in enumerate(ends, 1):
