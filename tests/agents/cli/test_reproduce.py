@@ -88,7 +88,7 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
 def test_a_shard_without_trainings_is_over_at_once(tmp_path, capsys):
     """Of four shards of two trainings the last two have none."""
     assert main([*COMMAND, str(tmp_path / "x"), "--shard", "4/4"]) == 0
-    assert "part 4/4 is over" in capsys.readouterr().out
+    assert "part 4/4 is done" in capsys.readouterr().out
     assert not (tmp_path / "x").exists()
 
 
@@ -120,7 +120,7 @@ def test_stopped_in_the_middle_it_leaves_no_worker_and_goes_on(whole, tmp_path):
     assert not processes(tmp_path)
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
-    assert "part 1/1 is over" in again.stdout
+    assert "part 1/1 is done" in again.stdout
     assert not (tmp_path / "report.md").exists()
     assert not processes(tmp_path)
     assert results(tmp_path) == results(whole[0])
