@@ -58,8 +58,8 @@ def folder(tmp_path):
 
 ALGORITHMS = {
     "my_algorithm": ("sac-fixed", "SAC-Fixed", "price 0.5", "Price of a unit of discounted cost"),
-    "my_trpo": ("trpo-price", "TRPO-Price", "price 0.5", "Price of cost beside the multiplier"),
-    "my_quantiles": ("sac-quantile", "SAC-Quantile", "cost_critics 8", "Outputs of the cost"),
+    "my_trpo": ("trpo-price", "TRPO-Price", "price 0.5", "Price of cost, added to the multiplier"),
+    "my_quantiles": ("sac-quantile", "SAC-Quantile", "cost_critics 8", "Number N of quantiles"),
     "my_learner": ("reinforce-state", "REINFORCE-State", "std 0.3", "Standard deviation"),
     "my_law": ("sac-mw", "SAC-MW", "gain 0.002", "Growth of the multiplier's logarithm"),
 }
