@@ -94,7 +94,7 @@ class Algorithm(NamedTuple):
     `added_costs(costs)` returns the names of the costs that `wrap` adds to the infos; they are
     recorded right after the costs that `rule` learns."""
     rule: Any
-    """What the algorithm adds to its family, such as a `CostRule`; passed to `family`."""
+    """The algorithm's own part, such as a `CostRule`, which `family` receives."""
     family: Callable[..., Learner]
     """(config, rule, seeds, observation size, action size) -> a new `Learner`. Optional attributes:
     `takes`, the types of config and rule; `off_policy`, whether the family learns from a replay

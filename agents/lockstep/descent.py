@@ -108,7 +108,7 @@ class Moments(NamedTuple):
 
 
 class Descent(NamedTuple):
-    """What a pass changes in place (`params`, `moments`), and how."""
+    """A pass: the `params` and `moments` that it changes in place, and its settings."""
 
     net: Shape
     params: Float
@@ -159,7 +159,7 @@ def minibatches(
 def descend(
     own: InNumpy, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> Float:
-    """See `InNumpy.descend`; for any loss."""
+    """Make a pass with any loss: see `InNumpy.descend`."""
     params, runs = it.params, len(steps)
     share, seen = len(params) // runs, it.inputs[..., : it.net.sizes[0]]
     total = np.zeros(len(params), params.dtype)

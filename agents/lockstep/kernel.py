@@ -36,7 +36,7 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
 class Shape(Protocol):
-    """What the functions here need to know about a network."""
+    """Shape of a network, as far as the functions here need it."""
 
     @property
     def sizes(self) -> tuple[int, ...]:

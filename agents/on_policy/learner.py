@@ -157,16 +157,17 @@ class OnPolicy(ABC):
             discounts = self.config.discount, self.config.gae_lambda
             gain = advantages(signal, *unpacked, terminal, rollout.during, *discounts)
             gains.append(packing.pack(gain))
-        targets = tensor(np.stack(gains, axis=1)) + tensor(value)
-        reward, *costs = gains
+        gain = np.stack(gains, axis=1)
+        targets = tensor(gain) + tensor(value)
+        reward, costs = gain[:, 0], gain[:, 1:]
         for run, n in enumerate(packing.steps):
             if n:
                 reward[run, :n] -= reward[run, :n].mean()
                 reward[run, :n] /= reward[run, :n].std() + 1e-8
-                for cost in costs:
-                    cost[run, :n] -= cost[run, :n].mean()
+                for cost in costs[run, :, :n]:
+                    cost -= cost.mean()
                     if getattr(self.config, "standardize_cost_advantages", False):
-                        cost[run, :n] /= cost[run, :n].std() + 1e-8
+                        cost /= cost.std() + 1e-8
         shape = (len(self.seeds), self.episodes)
         sums = (rollout.cost_returns, rollout.discounted_costs(self.config.discount))
         cost, discounted_cost = (tensor(s.reshape(*shape, -1).mean(axis=1)) for s in sums)
@@ -174,8 +175,8 @@ class OnPolicy(ABC):
             observation=observation,
             action=tensor(packing.pack(rollout.action)),
             weight=tensor(packing.weight),
-            reward_advantage=tensor(reward),
-            cost_advantage=tensor(np.ascontiguousarray(np.stack(gains, axis=1)[:, 1:])),
+            reward_advantage=tensor(np.ascontiguousarray(reward)),
+            cost_advantage=tensor(np.ascontiguousarray(costs)),
             value_targets=targets,
             length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
             cost=cost,

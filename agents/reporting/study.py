@@ -1,4 +1,4 @@
-"""What a study adds to the report of runs."""
+"""Additions of a study to the report of runs."""
 
 from __future__ import annotations
 

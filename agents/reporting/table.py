@@ -136,7 +136,7 @@ class Table:
     rows: Sequence[Row]
     notes: Sequence[str] = ()
     marking: str = ""
-    """What a mark (bold) means."""
+    """Meaning of a mark, which is bold."""
     details: Collection[str] = ()
     """Headings of columns that a terminal leaves out."""
     in_paper: str = ""

@@ -60,8 +60,9 @@ class OffPolicy:
         self.episodes = 1
         cost_critics = ("cost_critic_loss",) * (rule.costs > 0)
         usual = ("critic_loss", *cost_critics, "actor_loss", "temperature")
+        self._multipliers = lagrange.names(rule.multipliers)
         self._risks = lagrange.numbered("risk", rule.costs)
-        self.metrics = (*usual, *lagrange.names(rule.multipliers), *self._risks, "entropy")
+        self.metrics = (*usual, *self._multipliers, *self._risks, "entropy")
         self.action_size, self.costs = action_size, rule.costs
         self.nets = sac.make_nets(config, observation_size, action_size, rule.costs)
         self._state = sac.initial_state(self.nets, config, rule, seeds)
@@ -173,8 +174,7 @@ class OffPolicy:
 
     def _columns(self, records: dict[str, Float]) -> Float:
         """Return the records of an update in the order of `metrics`, [R, metrics]."""
-        multipliers = lagrange.names(self.rule.multipliers)
-        named = records | dict(zip(multipliers, records["multipliers"].T, strict=True))
+        named = records | dict(zip(self._multipliers, records["multipliers"].T, strict=True))
         named |= dict(zip(self._risks, records["risks"].T, strict=True))
         return np.stack([named[name] for name in self.metrics], axis=-1)
 

@@ -1,4 +1,4 @@
-"""What runs remember: replay buffer, recent episodes, states seen, and the scale of returns."""
+"""Memory of runs: replay buffer, recent episodes, states seen, and the scale of returns."""
 
 from __future__ import annotations
 

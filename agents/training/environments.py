@@ -146,7 +146,7 @@ class Looks(NamedTuple):
     view: View | None
     """Attribute `view` of the environment; None if it has none."""
     recorded: dict[str, str]
-    """See `recorded_info`."""
+    """Units, by name, of the numbers recorded from infos: see `recorded_info`."""
 
 
 def looks_of(task: str, parameters: dict[str, Any]) -> Looks:

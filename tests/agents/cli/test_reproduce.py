@@ -86,7 +86,7 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
 
 
 def test_a_shard_without_trainings_is_over_at_once(tmp_path, capsys):
-    """Of four shards of two trainings the last two have none."""
+    """Four shards share two trainings: the last two have none."""
     assert main([*COMMAND, str(tmp_path / "x"), "--shard", "4/4"]) == 0
     assert "part 4/4 is done" in capsys.readouterr().out
     assert not (tmp_path / "x").exists()

@@ -73,7 +73,7 @@ def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
 
 
 def test_a_long_episode_is_shown_in_two_hundred_pictures(tmp_path):
-    """Of 500 steps it shows every third state, and the last."""
+    """It shows every third state of 500 steps, and the last."""
     command = "render pretrained:trpo-lag/SafetyPointCircle1-v0 --episodes 1 --size 64 --out"
     assert main([*command.split(), str(tmp_path / "film.gif")]) == 0
     assert len(imageio.imread(tmp_path / "film.gif")) == len({*range(0, 500, 3), 500})

@@ -54,7 +54,7 @@ def test_as_many_run_at_a_time_as_asked_for_and_one_that_fails_stops_no_other():
 
 
 def test_a_folder_that_cannot_be_written_stops_no_other(tmp_path):
-    """As on a full disk or in another user's folder: the others are trained."""
+    """A full disk or another user's folder stops one training: the others are trained."""
     for name in "abc":
         made(tmp_path / name)
     (tmp_path / "b" / "worker.log").mkdir()

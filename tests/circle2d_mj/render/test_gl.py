@@ -171,7 +171,7 @@ def test_without_egl_osmesa_is_taken(python):
 
 @needs("egl", "osmesa")
 def test_if_egl_fails_osmesa_is_taken(python):
-    """As in a container with EGL's library but no device; here the named device does not exist."""
+    """A container may have EGL's library but no device; here the named device does not exist."""
     assert python(DRAW, "mujoco-first", MUJOCO_EGL_DEVICE_ID="99") == "mujoco.osmesa"
 
 

@@ -25,7 +25,7 @@ def assert_alike(mine, its):
 @pytest.mark.filterwarnings("ignore:.*For Box action spaces")  # the Racecar's
 @pytest.mark.parametrize("name", TASKS)
 def test_spaces_and_time_limits_are_the_originals(name):
-    """As recorded; the environment also passes gymnasium's checks."""
+    """They are as recorded; the environment also passes gymnasium's checks."""
     recorded = parameters(NAMES[name])
     env = gym.make(IDS[name])
     check_env(env.unwrapped, skip_render_check=True)
