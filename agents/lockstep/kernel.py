@@ -82,8 +82,9 @@ class InNumpy:
         x, tape = np.repeat(x, share, axis=0), []
         *hidden, (weight, bias) = layers(net.sizes, params)
         for w, b in hidden:
-            x, slope = _ACTIVATIONS[net.activation](np.matmul(x, w) + b)
-            tape.append((x, slope))
+            z = np.matmul(x, w) + b
+            x = ACTIVATIONS[net.activation](z)
+            tape.append((x, _SLOPES[net.activation](z, x)))
         return np.matmul(x, weight) + bias, tape
 
     def backward(
@@ -185,26 +186,26 @@ def layers(sizes: Sequence[int], params: Float) -> Iterator[tuple[Float, Float]]
         yield params[:, weight:bias].reshape(-1, rows, columns), params[:, None, bias:at]
 
 
-def _tanh(z: Float) -> tuple[Float, Float]:
-    y = np.tanh(z)
-    return y, 1 - y * y
+def _sigmoid(z: Float) -> Float:
+    return 0.5 + 0.5 * np.tanh(0.5 * z)  # as tanh, it cannot overflow
 
 
-def _relu(z: Float) -> tuple[Float, Float]:
-    return np.maximum(z, 0), (z > 0).astype(z.dtype)
+def _silu_slope(z: Float, _: Float) -> Float:
+    s = _sigmoid(z)
+    return s * (1 + z * (1 - s))
 
 
-def _silu(z: Float) -> tuple[Float, Float]:
-    s = 0.5 + 0.5 * np.tanh(0.5 * z)  # as tanh, the sigmoid cannot overflow
-    return z * s, s * (1 + z * (1 - s))
-
-
-_ACTIVATIONS: dict[Activation, Callable[[Float], tuple[Float, Float]]] = {
-    "tanh": _tanh,
-    "relu": _relu,
-    "silu": _silu,
+ACTIVATIONS: dict[Activation, Callable[[Float], Float]] = {
+    "tanh": np.tanh,
+    "relu": lambda z: np.maximum(z, 0),
+    "silu": lambda z: z * _sigmoid(z),
 }
-"""Functions from pre-activations to activations and their slopes."""
+_SLOPES: dict[Activation, Callable[[Float, Float], Float]] = {
+    "tanh": lambda _, y: 1 - y * y,
+    "relu": lambda z, _: (z > 0).astype(z.dtype),
+    "silu": _silu_slope,
+}
+"""Slopes of the activation functions, from pre-activations and activations."""
 IN_NUMPY = InNumpy()
 
 
@@ -316,7 +317,7 @@ def _of(net: Shape, params: Float, x: Float, tape: Float | None) -> tuple[Any, .
 @functools.cache
 def _shape(sizes: tuple[int, ...], activation: Activation) -> tuple[int, Any, int]:
     array = (ctypes.c_int64 * len(sizes))(*sizes)
-    return len(sizes) - 1, array, list(_ACTIVATIONS).index(activation)
+    return len(sizes) - 1, array, list(ACTIVATIONS).index(activation)
 
 
 def _data(array: Any) -> int | None:
@@ -399,7 +400,7 @@ class _Probe(NamedTuple):
 def error_of(kernel: InNumpy) -> float:
     """Return the largest difference of a kernel in float32 from the NumPy kernel in float64."""
     rng, worst = np.random.default_rng(0), 0.0
-    for activation in _ACTIVATIONS:
+    for activation in ACTIVATIONS:
         net, policy = _Probe((5, 30, 64, 1), activation), _Probe((5, 30, 64, 3), activation)
         shapes = {"params": (4, _size(policy) + 3), "x": (2, 70, 5), "dy": (4, 70, 3)}
         shapes |= {"action": (2, 70, 3), "advantage": (2, 70), "target": (2, 2, 70)}

@@ -105,15 +105,8 @@ def forward_numpy(
     layers: from `MLP.layers`; x: [N, B, in] -> [N, B, out].
     """
     for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
-        x = _IN_NUMPY[activation](x @ weight + bias)
+        x = kernel.ACTIVATIONS[activation](x @ weight + bias)
     return x @ layers[-2] + layers[-1]
-
-
-def _silu(x: NDArray) -> NDArray:
-    return x * (0.5 + 0.5 * np.tanh(0.5 * x))  # as tanh, the sigmoid cannot overflow
-
-
-_IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}
 
 
 def no_moments(params: Tensor | NDArray) -> Moments:
@@ -133,11 +126,7 @@ def adam(
     return stepped, after
 
 
-ACTIVATIONS: dict[Activation, type[nn.Module]] = {
-    "tanh": nn.Tanh,
-    "relu": nn.ReLU,
-    "silu": nn.SiLU,
-}
+MODULES: dict[Activation, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
 
 
 def mlp(layers: Sequence[NDArray[np.float32]], activation: Activation) -> nn.Sequential:
@@ -151,5 +140,5 @@ def mlp(layers: Sequence[NDArray[np.float32]], activation: Activation) -> nn.Seq
         with torch.no_grad():
             linear.weight.copy_(torch.from_numpy(weight.T.copy()))
             linear.bias.copy_(torch.from_numpy(bias[0].copy()))
-        modules += [linear, ACTIVATIONS[activation]()]
+        modules += [linear, MODULES[activation]()]
     return nn.Sequential(*modules[:-1])
