@@ -4,7 +4,7 @@ MuJoCo chooses its OpenGL backend on import, and the import fails if MUJOCO_GL n
 unknown backend. A simulation draws nothing, so MuJoCo is then imported without OpenGL. Drawing
 raises an error that says what to install: see `circle2d_mj.render.gl`.
 
-MuJoCo's profiler is switched off, since reading its clock takes 5 to 25 % of a simulation's time:
+MuJoCo's profiler is switched off, since reading its clock takes 5 to 20 % of a simulation's time:
 the durations in `mjData.timer` stay 0. `mujoco.set_mjcb_time(None)` switches it on again, and a
 clock that was set before this module is imported stays.
 """
