@@ -54,9 +54,14 @@ class SACConfig(InputConfig):
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
     learning_rate: Annotated[float, In(above=0, high=1)] = 3e-4
     """Adam's step size for actor and critics. Paper: 3e-4."""
-    temperature_lr: Annotated[float, In(above=0, high=1)] = 3e-4
-    """Adam's step size for the temperature, which falls from 1 as the policy becomes less random.
-    Paper: 3e-4, as for the networks."""
+    policy_lr: Annotated[float, In(above=0, high=1)] | None = None
+    """Adam's step size for the actor, if it differs from `learning_rate`. Not in the paper; OmniSafe:
+    5e-6 on navigation tasks, where its critics have 1e-3."""
+    temperature_lr: Annotated[float, In(0, 1)] = 3e-4
+    """Adam's step size for the temperature, which falls as the policy becomes less random; with 0
+    it stays. Paper: 3e-4, as for the networks."""
+    initial_temperature: Annotated[float, In(above=0, high=1e6)] = 1.0
+    """Temperature at first. Not specified in the paper; 1."""
     batch_size: Annotated[int, In(1)] = 256
     """Transitions per gradient step, at most `replay_size`. Paper: 256."""
     gradient_steps: Annotated[int, In(1, 100_000)] = 5
@@ -266,7 +271,7 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
     actor = np.stack([nets.actor.initial(rng) for rng in streams])
     count = 2 + config.cost_critics * rule.costs
     critics = np.array([[nets.critic.initial(rng) for _ in range(count)] for rng in streams])
-    log_temperature = np.zeros((len(seeds), LANES), np.float32)
+    log_temperature = np.full((len(seeds), LANES), math.log(config.initial_temperature), np.float32)
     return SACState(
         actor=actor,
         critics=critics,
@@ -552,7 +557,7 @@ def update(
 
     what = (state, batch.observation, noise.new_action, in_penalty)
     gradient, loss, risk, log_prob = actor_gradient(nets, config, rule, *what)
-    own.adam(state.actor, gradient, state.actor_moments, rate)
+    own.adam(state.actor, gradient, state.actor_moments, config.policy_lr or rate)
 
     risk = risk if followed is None else followed
     if longest is not None:
