@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
-from agents.lockstep import lagrange
+from agents.lockstep import lagrange, tree
 from agents.sac import OffPolicy
 from agents.sac import update as sac
 from agents.sac.replay import Batch
@@ -65,6 +65,31 @@ def test_losses_by_hand():
     assert found["entropy"].item() == pytest.approx(-log_prob, rel=1e-6)
     # α log π - min Q + β max Q_c = -1.8378771 - 3 + 0.6931472 · 7 = 0.0141533
     assert found["actor_loss"].item() == pytest.approx(0.0141533, abs=1e-6)
+
+
+def test_a_discount_of_costs_alone_by_hand():
+    """The cost targets of `test_losses_by_hand` with γ = 0.5: 0.5 · 9 = 4.5 and 1. ½ mean[(6 -
+    4.5)², (6 - 1)²] + ½ mean[(7 - 4.5)², (7 - 1)²] = 17.375. Rewards keep their γ."""
+    config = replace(CONFIG, cost_discount=0.5)
+    nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
+    noise = sac.UpdateNoise(*np.zeros((2, 1, 2, 2), np.float32))
+    _, found = sac.update(nets, config, RULE, state, two_transitions(), noise)
+    assert found["cost_critic_loss"].item() == pytest.approx(17.375, rel=1e-6)
+    assert found["critic_loss"].item() == pytest.approx(15.5020531, rel=1e-6)
+
+
+def test_step_sizes_of_actor_and_temperature():
+    """The first step of Adam changes each parameter with a gradient by its step size."""
+    config = replace(CONFIG, policy_lr=1e-2, temperature_lr=0.0, initial_temperature=0.5)
+    nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
+    before = tree.copy(state)
+    noise = sac.UpdateNoise(*np.ones((2, 1, 2, 2), np.float32))
+    after, found = sac.update(nets, config, RULE, state, two_transitions(), noise)
+    for name, rate in (("actor", 1e-2), ("critics", 3e-4)):
+        change = np.abs(getattr(after, name) - getattr(before, name))
+        assert change.max() == pytest.approx(rate, rel=1e-3)
+    assert found["temperature"].item() == pytest.approx(0.5)
+    np.testing.assert_array_equal(after.log_temperature, before.log_temperature)
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 3.0])
