@@ -7,8 +7,6 @@ algorithms and applications") with the cost terms of the algorithm's paper.
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -132,15 +130,13 @@ class ConstrainedSACConfig(SACConfig):
     """
 
     cost_limit: Annotated[float, In(0, 1e9)] = 25.0
-    """Limit d of the discounted cost return Q_c that the cost critics estimate; it is no limit of
-    an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
+    of the rewards; it is no limit of an episode's cost. Paper: 5 on Circle2D, 25 on
+    Safety-Gymnasium."""
     limit_of: Literal["discounted", "episode"] = "discounted"
     """Which cost `cost_limit` limits: Q_c (discounted), or the cost of an episode (episode). With
     episode, the limit of Q_c is `d (1 - γ^T) / ((1 - γ) T)`, T steps being the task's time limit,
     as in Ray's and Yang's code. Not specified in the paper; discounted."""
-    cost_discount: Annotated[float, In(0, 1)] | None = None
-    """Discount factor of costs, if it differs from `discount`. Errors of the cost critics add up
-    over `1 / (1 - γ)` steps. Not in the paper."""
     streak_weight: Annotated[float, In(0, 1e6)] = 0.0
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the cost of the k-th
     consecutive cost step is multiplied by `1 + β (k - 1)`, and the critics see k. Records keep the
@@ -151,13 +147,6 @@ class ConstrainedSACConfig(SACConfig):
         """The limited cost in words, for tables."""
         converted = ", converted from an episode's cost," if self.limit_of == "episode" else ""
         return f"discounted cost return Q_c{converted}"
-
-
-@functools.cache  # asked for in each gradient step
-def with_cost_discount(config: Any) -> Any:
-    """Return the hyper-parameters with which costs are learned: `discount` is that of costs."""
-    discount = getattr(config, "cost_discount", None)
-    return config if discount is None else dataclasses.replace(config, discount=discount)
 
 
 @dataclass(frozen=True)
@@ -469,7 +458,7 @@ def critic_slope(
     pairs = zip(of_costs(found, rule), of_costs(following, rule), strict=True)
     for k, (own, theirs) in enumerate(pairs):
         of_cost = batch._replace(cost=batch.cost[:, k])
-        loss, pull = pulled(rule.critic_loss, with_cost_discount(config), own, theirs, of_cost)
+        loss, pull = pulled(rule.critic_loss, config, own, theirs, of_cost)
         cost_part = cost_part + loss
         slopes.append(pull(one))
     reward_part = 0.5 * mean(error * error).sum(axis=-1)

@@ -260,9 +260,7 @@ class TrainConfig(Settings):
                 f"limit_of episode needs tasks with one time limit, got {limits}; limit_of "
                 "discounted takes any tasks: cost_limit is then that of the discounted cost"
             )
-        own = getattr(given, "cost_discount", None)
-        discount = given.discount if own is None else own
-        mean = sum(discount**k for k in range(steps)) / steps
+        mean = sum(given.discount**k for k in range(steps)) / steps
         # No multiplier of the longest streak follows a discounted cost.
         names = {*self._limit_names.values()} - {"streak_limit"}
         return dataclasses.replace(given, **{name: mean * getattr(given, name) for name in names})

@@ -67,17 +67,6 @@ def test_losses_by_hand():
     assert found["actor_loss"].item() == pytest.approx(0.0141533, abs=1e-6)
 
 
-def test_a_discount_of_costs_alone_by_hand():
-    """The cost targets of `test_losses_by_hand` with γ = 0.5: 0.5 · 9 = 4.5 and 1. ½ mean[(6 -
-    4.5)², (6 - 1)²] + ½ mean[(7 - 4.5)², (7 - 1)²] = 17.375. Rewards keep their γ."""
-    config = replace(CONFIG, cost_discount=0.5)
-    nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
-    noise = sac.UpdateNoise(*np.zeros((2, 1, 2, 2), np.float32))
-    _, found = sac.update(nets, config, RULE, state, two_transitions(), noise)
-    assert found["cost_critic_loss"].item() == pytest.approx(17.375, rel=1e-6)
-    assert found["critic_loss"].item() == pytest.approx(15.5020531, rel=1e-6)
-
-
 def test_step_sizes_of_actor_and_temperature():
     """The first step of Adam changes each parameter with a gradient by its step size."""
     config = replace(CONFIG, policy_lr=1e-2, temperature_lr=0.0, initial_temperature=0.5)
