@@ -7,6 +7,7 @@ paper's grid as "SAC-Lag".
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -28,6 +29,11 @@ class SACLagConfig(StreakTailLimit, MultiplierOfConfig):
 
     The multiplier is β = softplus(parameter), at first 0.69: the parameter starts at 0.
     """
+
+    cost_estimate: Literal["larger", "mean"] = "larger"
+    """Estimate of a cost by its two critics: the larger value (larger; as in the paper), also in
+    both critics' targets; or the mean (mean), each critic with a target of its own, in which the
+    next value is at least 0. The larger one may far exceed the true cost. Not in the paper."""
 
 
 def risk(config: SACConfig, cost_values: Tensor) -> Tensor:
@@ -66,6 +72,43 @@ def squared(error: Float) -> tuple[Float, Pull]:
     return 0.5 * mean(error * error).sum(axis=-1), pull
 
 
+def estimate(config: SACLagConfig, cost_values: Tensor) -> Tensor:
+    """The estimate of a cost: see `SACLagConfig.cost_estimate`."""
+    return cost_values.mean(dim=1) if config.cost_estimate == "mean" else risk(config, cost_values)
+
+
+@closed_form(estimate)
+def _estimate(config: SACLagConfig, cost_values: Float) -> tuple[Float, Pull]:
+    if config.cost_estimate == "larger":
+        return _risk(config, cost_values)
+    half = np.full_like(cost_values, 0.5)
+    return 0.5 * (cost_values[:, 0] + cost_values[:, 1]), lambda slope: slope[:, None] * half
+
+
+def estimate_loss(
+    config: SACLagConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
+) -> Tensor:
+    """`critic_loss`; with the mean, half the mean squared error of each critic against its own
+    `c + γ max(0, Q_c')`, summed over both."""
+    if config.cost_estimate == "larger":
+        return critic_loss(config, cost_values, next_cost_values, batch)
+    discount = config.discount * (1.0 - batch.cost_terminal)
+    target = batch.cost[:, None] + discount[:, None] * next_cost_values.clamp(min=0.0)
+    error = cost_values - target
+    return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
+
+
+@closed_form(estimate_loss)
+def _estimate_loss(
+    config: SACLagConfig, cost_values: Float, next_cost_values: Float, batch: Batch
+) -> tuple[Float, Pull]:
+    if config.cost_estimate == "larger":
+        return _critic_loss(config, cost_values, next_cost_values, batch)
+    discount = config.discount * (1.0 - batch.cost_terminal)
+    target = batch.cost[:, None] + discount[:, None] * np.maximum(next_cost_values, 0.0)
+    return squared(cost_values - target)
+
+
 def penalty(config: SACLagConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`β Q_c`: the constraint's term of the Lagrangian (its constant, -β d, has no gradient)."""
     return multipliers[..., None] * risk
@@ -76,5 +119,5 @@ def _penalty(config: SACLagConfig, risk: Float, multipliers: Float) -> tuple[Flo
     return multipliers[..., None] * risk, lambda slope: multipliers[..., None] * slope
 
 
-RULE = CostRule(risk, critic_loss, penalty, (Multiplier(SOFTPLUS),))
+RULE = CostRule(estimate, estimate_loss, penalty, (Multiplier(SOFTPLUS),))
 ALGORITHM = Algorithm("SAC-Lag", SACLagConfig, RULE, OffPolicy, work=5.0)

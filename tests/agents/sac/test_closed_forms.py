@@ -19,6 +19,7 @@ RUNS, ROWS = 3, 50
 CONFIGS = {
     "sac": {},
     "sac-lag": {},
+    "sac-lag, mean": {"cost_estimate": "mean"},
     "sac-pid": {},
     "sac-lb": {"cost_limit": 1.0},
     "sac-lb-streak": {"cost_limit": 0.2, "log_barrier_factor": 0.7},

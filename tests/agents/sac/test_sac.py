@@ -67,6 +67,23 @@ def test_losses_by_hand():
     assert found["actor_loss"].item() == pytest.approx(0.0141533, abs=1e-6)
 
 
+@pytest.mark.parametrize(("first", "loss"), [(8.0, 15.9125), (-8.0, 24.5525)])
+def test_the_mean_of_the_cost_critics_by_hand(first, loss):
+    """`test_losses_by_hand` with the mean of the cost critics, each of which has its own target.
+
+    Targets of the first: 0.9 · 8 = 7.2 or, for a negative next value, 0; and 1. Of the second: 0.9
+    · 9 = 8.1 and 1. ½ mean[(6 - 7.2)², (6 - 1)²] + ½ mean[(7 - 8.1)², (7 - 1)²] = 6.61 + 9.3025; or
+    ½ mean[6², 5²] + 9.3025 = 24.5525. The actor's loss: -1.8378771 - 3 + 0.6931472 · 6.5.
+    """
+    config = replace(CONFIG, cost_estimate="mean", learning_rate=1e-12)
+    nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, first, 9.0])
+    noise = sac.UpdateNoise(*np.zeros((2, 1, 2, 2), np.float32))
+    _, found = sac.update(nets, config, RULE, state, two_transitions(), noise)
+    assert found["cost_critic_loss"].item() == pytest.approx(loss, rel=1e-6)
+    assert found["risks"].tolist() == [[6.5]]
+    assert found["actor_loss"].item() == pytest.approx(-0.3324203, abs=1e-6)
+
+
 def test_step_sizes_of_actor_and_temperature():
     """The first step of Adam changes each parameter with a gradient by its step size."""
     config = replace(CONFIG, policy_lr=1e-2, temperature_lr=0.0, initial_temperature=0.5)
