@@ -37,12 +37,18 @@ class SACLagConfig(StreakTailLimit, MultiplierOfConfig):
 
 
 def risk(config: SACConfig, cost_values: Tensor) -> Tensor:
-    """The larger of the two cost critics' values, so that errors are on the side of caution."""
+    """The larger of the two cost critics' values, so that errors are on the side of caution, or
+    their mean: see `SACLagConfig.cost_estimate`."""
+    if config.cost_estimate == "mean":
+        return cost_values.mean(dim=1)
     return torch.maximum(cost_values[:, 0], cost_values[:, 1])
 
 
 @closed_form(risk)
 def _risk(config: SACConfig, cost_values: Float) -> tuple[Float, Pull]:
+    if config.cost_estimate == "mean":
+        half = np.full_like(cost_values, 0.5)
+        return cost_values.mean(axis=1), lambda slope: slope[:, None] * half
     share = shares(cost_values, -1.0)
     return np.maximum(cost_values[:, 0], cost_values[:, 1]), lambda slope: slope[:, None] * share
 
@@ -50,10 +56,14 @@ def _risk(config: SACConfig, cost_values: Float) -> tuple[Float, Pull]:
 def critic_loss(
     config: SACConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
 ) -> Tensor:
-    """Half the mean squared error of each critic against `c + γ max Q_c'`, summed over both."""
-    next_value = risk(config, next_cost_values)
-    target = batch.cost + config.discount * (1.0 - batch.cost_terminal) * next_value
-    error = cost_values - target[:, None]
+    """Half the mean squared error of each critic against `c + γ max Q_c'`, summed over both; with
+    the mean as estimate, against its own `c + γ max(0, Q_c')`."""
+    if config.cost_estimate == "mean":
+        following = next_cost_values.clamp(min=0.0)
+    else:
+        following = risk(config, next_cost_values)[:, None]
+    discount = config.discount * (1.0 - batch.cost_terminal)
+    error = cost_values - (batch.cost[:, None] + discount[:, None] * following)
     return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
 
 
@@ -61,52 +71,18 @@ def critic_loss(
 def _critic_loss(
     config: SACConfig, cost_values: Float, next_cost_values: Float, batch: Batch
 ) -> tuple[Float, Pull]:
+    discount = config.discount * (1.0 - batch.cost_terminal)
+    if config.cost_estimate == "mean":
+        following = np.maximum(next_cost_values, 0.0)
+        return squared(cost_values - (batch.cost[:, None] + discount[:, None] * following))
     next_value = np.maximum(next_cost_values[:, 0], next_cost_values[:, 1])
-    target = batch.cost + config.discount * (1.0 - batch.cost_terminal) * next_value
-    return squared(cost_values - target[:, None])
+    return squared(cost_values - (batch.cost + discount * next_value)[:, None])
 
 
 def squared(error: Float) -> tuple[Float, Pull]:
     """Half the mean square over B of errors [R, K, B], summed over K, and its `Pull`."""
     pull = lambda slope: slope[:, None, None] * error / error.shape[-1]  # noqa: E731
     return 0.5 * mean(error * error).sum(axis=-1), pull
-
-
-def estimate(config: SACLagConfig, cost_values: Tensor) -> Tensor:
-    """The estimate of a cost: see `SACLagConfig.cost_estimate`."""
-    return cost_values.mean(dim=1) if config.cost_estimate == "mean" else risk(config, cost_values)
-
-
-@closed_form(estimate)
-def _estimate(config: SACLagConfig, cost_values: Float) -> tuple[Float, Pull]:
-    if config.cost_estimate == "larger":
-        return _risk(config, cost_values)
-    half = np.full_like(cost_values, 0.5)
-    return 0.5 * (cost_values[:, 0] + cost_values[:, 1]), lambda slope: slope[:, None] * half
-
-
-def estimate_loss(
-    config: SACLagConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
-) -> Tensor:
-    """`critic_loss`; with the mean, half the mean squared error of each critic against its own
-    `c + γ max(0, Q_c')`, summed over both."""
-    if config.cost_estimate == "larger":
-        return critic_loss(config, cost_values, next_cost_values, batch)
-    discount = config.discount * (1.0 - batch.cost_terminal)
-    target = batch.cost[:, None] + discount[:, None] * next_cost_values.clamp(min=0.0)
-    error = cost_values - target
-    return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
-
-
-@closed_form(estimate_loss)
-def _estimate_loss(
-    config: SACLagConfig, cost_values: Float, next_cost_values: Float, batch: Batch
-) -> tuple[Float, Pull]:
-    if config.cost_estimate == "larger":
-        return _critic_loss(config, cost_values, next_cost_values, batch)
-    discount = config.discount * (1.0 - batch.cost_terminal)
-    target = batch.cost[:, None] + discount[:, None] * np.maximum(next_cost_values, 0.0)
-    return squared(cost_values - target)
 
 
 def penalty(config: SACLagConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
@@ -119,5 +95,5 @@ def _penalty(config: SACLagConfig, risk: Float, multipliers: Float) -> tuple[Flo
     return multipliers[..., None] * risk, lambda slope: multipliers[..., None] * slope
 
 
-RULE = CostRule(estimate, estimate_loss, penalty, (Multiplier(SOFTPLUS),))
+RULE = CostRule(risk, critic_loss, penalty, (Multiplier(SOFTPLUS),))
 ALGORITHM = Algorithm("SAC-Lag", SACLagConfig, RULE, OffPolicy, work=5.0)

@@ -49,6 +49,7 @@ class SACConfig(InputConfig):
     """
 
     cost_critics = 2  # for each cost; an algorithm with an ensemble makes it a hyper-parameter
+    cost_estimate = "larger"  # see `SACLagConfig`, which makes it a hyper-parameter
 
     discount: Annotated[float, In(0, 1)] = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
