@@ -34,9 +34,9 @@ class SACLBStreakConfig(SACLBConfig):
 
     learning_rate: Annotated[float, In(above=0, high=1)] = 1e-3
     """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
-    temperature_lr: Annotated[float, In(above=0, high=1)] = 1.5e-4
-    """Adam's step size for the temperature, which falls from 1 as the policy becomes less random.
-    The paper's SAC-LB: 3e-4."""
+    temperature_lr: Annotated[float, In(0, 1)] = 1.5e-4
+    """Adam's step size for the temperature, which falls as the policy becomes less random; with 0
+    it stays. The paper's SAC-LB: 3e-4."""
     batch_size: Annotated[int, In(1)] = 128
     """Transitions per gradient step, at most `replay_size`. The paper's SAC-LB: 256."""
     gradient_steps: Annotated[int, In(1, 100_000)] = 10
