@@ -74,9 +74,9 @@ def _critic_loss(
     discount = config.discount * (1.0 - batch.cost_terminal)
     if config.cost_estimate == "mean":
         following = np.maximum(next_cost_values, 0.0)
-        return squared(cost_values - (batch.cost[:, None] + discount[:, None] * following))
-    next_value = np.maximum(next_cost_values[:, 0], next_cost_values[:, 1])
-    return squared(cost_values - (batch.cost + discount * next_value)[:, None])
+    else:
+        following = np.maximum(next_cost_values[:, :1], next_cost_values[:, 1:])
+    return squared(cost_values - (batch.cost[:, None] + discount[:, None] * following))
 
 
 def squared(error: Float) -> tuple[Float, Pull]:
