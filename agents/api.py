@@ -121,6 +121,7 @@ def train(
     anything is written, and if every run failed; the `__cause__` is then the error of the task's or
     the algorithm's own code.
     """
+    task = ids_of(task)
     if algorithm == "zoo":
         algorithm, preset, usual = of_zoo(task, preset)
         steps = usual if steps is None else steps
@@ -245,15 +246,13 @@ def grid_configs(
     """Return the configurations of `grid` by folder."""
     for name in settings.keys() & {"on_epoch", "progress"}:
         raise UserError(f"grid takes no {name}: it trains in other processes")
-    names = [algorithms] if isinstance(algorithms, str) else [*algorithms]
-    several = [tasks] if isinstance(tasks, str) else [*tasks]
-    if not names or not several:
-        raise UserError("grid needs at least one algorithm and one task")
+    if not (names := several(algorithms)):
+        raise UserError("grid needs at least one algorithm")
     given = settings_of(settings)
     own = {name: value for name, value in settings.items() if name not in given}
     return {
-        out / file_name(task_id(task)) / name: config
-        for task in dict.fromkeys(several)
+        out / file_name(task) / name: config
+        for task in dict.fromkeys(ids_of(tasks))
         for name in dict.fromkeys(names)
         for config in configs_of(name, task, [own], preset, backend, given)
     }
@@ -299,7 +298,7 @@ def report(
     study: Study | None = None,
     archive: Folder | None = None,
     out: Folder | None = None,
-    columns: Sequence[str] | None = None,
+    columns: str | Sequence[str] | None = None,
     window: int | None = None,
 ) -> str:
     """Write the report of all runs at or below folders, or in archives: `circle2d report`.
@@ -330,7 +329,7 @@ def report(
         study=study or used_study(),
         archive=file,
         out=folder,
-        columns=LATEX_COLUMNS if columns is None else columns,
+        columns=LATEX_COLUMNS if columns is None else several(columns),
         window=window,
     )
     return markdown(written.blocks)
@@ -357,14 +356,14 @@ def compare(
     from agents.reporting.table import markdown
 
     folder = None if out is None else _to_write(out)
-    asked = (measures,) if isinstance(measures, str) else measures
+    asked = None if measures is None else several(measures)
     return markdown(compare_runs(Path(a), Path(b), folder, asked))
 
 
 def plot(
     *paths: Folder,
     out: Folder,
-    measures: Sequence[str] = ("return", "cost", "emcc"),
+    measures: str | Sequence[str] = ("return", "cost", "emcc"),
     names: Mapping[str, str] | None = None,
     colours: Mapping[str, str] | None = None,
     width: float = 5.5,
@@ -382,28 +381,40 @@ def plot(
     """
     from agents.reporting.plot import plot as draw
 
-    return draw(folders_of(*paths), Path(out), measures, names, colours, width).words
+    return draw(folders_of(*paths), Path(out), several(measures), names, colours, width).words
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return those arguments that are settings of any training: fields of a configuration, without
-    those that `configs_of` takes as arguments of its own."""
+    those that `configs_of` takes as arguments of its own; seeds and costs as tuples."""
     names = {field.name for field in dataclasses.fields(TrainConfig)}
     apart = {"algorithm", "tasks", "hyperparameters", "backend"}
-    return {name: value for name, value in values.items() if name in names - apart}
+    settings = {name: value for name, value in values.items() if name in names - apart}
+    return settings | {k: several(settings[k]) for k in {"seeds", "costs"} & settings.keys()}
 
 
-def of_zoo(task: str | Iterable[str], preset: PresetName) -> tuple[str, PresetName, int]:
-    """Return the zoo's algorithm for a task, its preset, and its number of steps. Raises UserError
+def several(given: Any) -> tuple[Any, ...]:
+    """Return the values of an argument that may be a single one, such as a task or a seed."""
+    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+
+
+def ids_of(task: Any) -> tuple[str, ...]:
+    """Return the full ids of a task or several. Raises UserError for none, and for unknown ones."""
+    if not (tasks := several(task)):
+        raise UserError("task must be the id of a gymnasium task, or several ids, got none")
+    return tuple(map(task_id, tasks))
+
+
+def of_zoo(tasks: Sequence[str], preset: PresetName) -> tuple[str, PresetName, int]:
+    """Return the zoo's algorithm for tasks, its preset, and its number of steps. Raises UserError
     for a task without a recipe, for tasks with different recipes, and for the preset "none"."""
     if preset == "none":
         raise UserError("zoo has its own preset: to train without one, name the algorithm")
-    tasks = [task] if isinstance(task, str) else list(task)
-    several = [recipe(task_id(name)) for name in tasks]
-    for name, other in zip(tasks, several, strict=True):
-        if other[:2] != several[0][:2]:
+    first, *others = map(recipe, tasks)
+    for name, other in zip(tasks[1:], others, strict=True):
+        if other[:2] != first[:2]:
             raise UserError(f"the zoo trains {tasks[0]} and {name} differently: train them apart")
-    return several[0].algorithm, "zoo", several[0].steps
+    return first.algorithm, "zoo", first.steps
 
 
 def configs_of(
@@ -419,23 +430,16 @@ def configs_of(
     hyperparameters: each a mapping of values that replace the preset's, or an object of the
     algorithm's config class. given: settings, from `settings_of`. Raises UserError for invalid
     settings, and for those that this machine does not support."""
-    several = [task] if isinstance(task, str) or not isinstance(task, Iterable) else [*task]
-    tasks = tuple(map(task_id, several))
-    if not tasks:
-        raise UserError("task must be the id of a gymnasium task, or several ids, got none")
+    tasks = ids_of(task)
     settings = dict(given)
     if settings.get("steps") is None:
         settings["steps"] = TrainConfig.steps
-    seeds = settings.get("seeds", TrainConfig.seeds)
-    settings["seeds"] = tuple(seeds) if isinstance(seeds, Iterable) else (seeds,)
     parameters = settings.get("task_parameters")
     settings["task_parameters"] = (
         dict(parameters) if isinstance(parameters, Mapping) else parameters
     )
     if parameters is None:
         del settings["task_parameters"]
-    costs = settings.get("costs", TrainConfig.costs)
-    settings["costs"] = (costs,) if isinstance(costs, str) else tuple(costs)
     settings |= {"algorithm": algorithm, "tasks": tasks, "backend": backend}
     every = [_hyperparameters(algorithm, tasks, own, preset) for own in hyperparameters]
     configs = [TrainConfig(**settings, hyperparameters=own) for own in every]

@@ -128,7 +128,7 @@ class Runs:
 
         rows: "episodes" and "updates" give a row for each episode, or each epoch's update, of every
         run so far, "evaluations" a row for each evaluated episode during training
-        (`evaluate_every`) and at the end. These frames have the columns folder, algorithm, task and
+        (step: the multiple of `evaluate_every` that was reached) and at the end. These frames have the columns folder, algorithm, task and
         seed, and the hyper-parameters and task parameters in which the folders differ. Archives
         hold only the multipliers of updates, at most 500 of each run, and the last evaluation.
         """
@@ -181,11 +181,12 @@ def load_runs(*folders: str | os.PathLike[str]) -> Runs:
     """
     from agents.results.reading import folders_below
 
-    paths: dict[Path, None] = {}
+    paths: dict[Path, Path] = {}
     for root in folders_of(*folders):
         if not (names := folders_below(root)):
             raise UserError(f"{root} {NO_RUNS}")
-        paths |= dict.fromkeys(root / name for name in names)
+        for path in (root / name for name in names):
+            paths.setdefault(path.resolve(), path)
     if not paths:
         raise UserError("load_runs needs a folder of runs")
-    return Runs(list(paths))
+    return Runs([*paths.values()])

@@ -112,7 +112,7 @@ def policy_step(
     problem = Problem(
         gradient=gradient(0),
         cost_gradient=lambda: gradient(1) * epoch.length[:, None],
-        excess=(epoch.cost - tensor(lagrange.limits(rule, config)))[:, 0].to(old.dtype),
+        excess=of_cost(epoch.cost - tensor(lagrange.limits(rule, config))).to(old.dtype),
         product=product,
         solve=solve,
         target_kl=config.target_kl,
@@ -123,7 +123,7 @@ def policy_step(
 
     def judge(actor: Tensor) -> tuple[Tensor, Tensor]:
         after, kl = compared(nets, actor, taken_steps)
-        growth, cost_growth = (after - before).unbind(dim=-1)
+        growth, cost_growth = (after - before)[:, 0], of_cost((after - before)[:, 1:])
         cost_growth = cost_growth * epoch.length
         near = step.divergence(kl, cost_growth) <= config.target_kl
         allowed = near & ((growth > 0) | ~step.must_improve) & (cost_growth <= step.cost_bound)
@@ -137,6 +137,11 @@ def policy_step(
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
     names = lagrange.names(rule.multipliers)
     return params, records | dict(zip(names, multipliers.unbind(dim=-1), strict=True))
+
+
+def of_cost(columns: Tensor) -> Tensor:
+    """Return the first learned cost's column of [R, C], or zeros if no cost is learned."""
+    return columns[:, :1].sum(dim=-1)
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -161,7 +166,7 @@ class Problem(NamedTuple):
     cost_gradient: Callable[[], Tensor]
     """() -> [R, P]: of the undiscounted cost of an episode"""
     excess: Tensor
-    """[R]: by how much an episode's cost exceeds the limit, `J_C - d`"""
+    """[R]: by how much an episode's cost exceeds the limit, `J_C - d`; 0 if no cost is learned"""
     product: Product
     """v -> H v, H the damped Hessian of the mean KL divergence"""
     solve: Product

@@ -144,8 +144,10 @@ def _updates(training: Training, run: RunId) -> dict[str, Any]:
 
 
 def _evaluations(training: Training, run: RunId) -> dict[str, Any]:
-    """Return the columns of a run's evaluated episodes; `step`: environment steps taken before the
-    evaluation; each cost's column has the cost's name."""
+    """Return the columns of a run's evaluated episodes; each cost's column has the cost's name.
+
+    step: of a policy kept during training the multiple of `evaluate_every` that its epoch reached,
+    at the end the environment steps taken. The last policy's episodes are those of the end."""
     kept = numbered(training.path / POLICIES, run.prefix).items()
     sources: dict[int, tuple[Mapping[str, NDArray], str]]
     sources = {step: (Arrays(path), "") for step, path in kept}

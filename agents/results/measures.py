@@ -48,7 +48,7 @@ class Measure:
     note: str = ""
     """Definition for the legend of tables, where the title does not give it."""
     bounds: Bounds = UNBOUNDED
-    """Bounds of the values, which intervals of the mean do not exceed."""
+    """Bounds of the values, also of the intervals of their mean."""
     detail: bool = False
     """Whether tables in a terminal leave the measure out."""
     part: float | None = None
@@ -115,20 +115,23 @@ def measured(of: RunResult, run: str) -> dict[str, float | None]:
             words = f"measure {m.name!r} failed on run {run}: {described(error)}"
             raise OwnCodeError(words) from error
         try:
-            values[m.name] = None if value is None else _finite(value)
+            values[m.name] = None if value is None else _bounded(value, m.bounds)
         except (TypeError, ValueError):
             if m in BUILT_IN:
-                raise ValueError(f"{m.name} is not finite: {value}") from None
-            words = f"must return a finite number or None; for run {run}, got {reprlib.repr(value)}"
+                raise ValueError(f"{m.name} is not finite, or out of bounds: {value}") from None
+            bounds = "" if m.bounds == UNBOUNDED else " from {:g} to {:g}".format(*m.bounds)
+            words = f"must return a finite number{bounds} or None; for run {run}, "
+            words += f"got {reprlib.repr(value)}"
             raise OwnCodeError(f"measure {m.name!r} {words}") from None
     return values
 
 
-def _finite(value: Any) -> float:
-    """Convert a value to a finite float. Raises TypeError or ValueError for anything else."""
-    number = as_one(value, "it")
-    if not math.isfinite(number):
-        raise ValueError(f"not finite: {number}")
+def _bounded(value: Any, bounds: Bounds) -> float:
+    """Convert a value to a finite float within bounds. Raises TypeError or ValueError for anything
+    else."""
+    number, (low, high) = as_one(value, "it"), bounds
+    if not (math.isfinite(number) and low <= number <= high):
+        raise ValueError(f"not finite, or out of bounds: {number}")
     return number
 
 

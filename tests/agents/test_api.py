@@ -153,7 +153,8 @@ def test_finished_runs_are_opened_again(runs, tmp_path):
         shutil.copytree(runs.folder, tmp_path / "a" / name)
     again = agents.load_runs(str(tmp_path / "a"))
     assert again.folders == (tmp_path / "a" / "x", tmp_path / "a" / "y")
-    one = agents.load_runs(str(again.folders[0]), again.folders[0])
+    above = again.folders[1] / ".." / "x"  # the same folder by another path
+    one = agents.load_runs(str(again.folders[0]), again.folders[0], above)
     assert (one.config, one.folder) == (runs.config, again.folders[0])
     assert one.results[0].runs[0].measures == runs.results[0].runs[0].measures
     path = again.folders[1] / "config.json"
@@ -295,6 +296,19 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
     assert "mean of 2" in capsys.readouterr().out
 
 
+def test_iterables_are_read_once(tmp_path):
+    def once(*values):
+        return (value for value in values)
+
+    tasks, several = ("Circle2D-1-v0", "Circle2D-2-v0"), ("trpo-lag", "cpo")
+    settings = {"seeds": once(0, 3), "costs": once("cost")}
+    own = once(*several), once(*tasks), tmp_path, "paper", "numpy", settings
+    found = api.grid_configs(*own)
+    assert [config.algorithm for config in found.values()] == [*several, *several]
+    assert {(config.seeds, config.costs) for config in found.values()} == {((0, 3), ("cost",))}
+    assert api.of_zoo(api.ids_of(once("Circle2D-0-v0")), "zoo")[0] == "sac-lb-streak"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -306,7 +320,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
-        ({"seeds": "ab"}, "seeds must be a tuple of integers, got .'a', 'b'"),
+        ({"seeds": "ab"}, "seeds must be a tuple of integers, got .'ab'"),
         ({"seeds": 2**41}, "seeds must be a tuple of integers, each at most 1099511627776, got"),
         ({"seeds": [3, -1]}, r"seeds must be in \[0, 1099511627776\], got \(3, -1\)"),
         ({"steps": 0}, "steps must be at least 1"),

@@ -133,6 +133,17 @@ def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path, wron
     finally:
         unregister("mine")
     assert isinstance(raised.value.__cause__, error)
+
+
+@pytest.mark.parametrize("value", [1.2, -0.1, np.nan])
+def test_a_measure_out_of_its_bounds_is_named(tmp_path, value):
+    write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
+    register(Measure("mine", "mine", "", 2, "lower", lambda run: value, bounds=(0.0, 1.0)))
+    try:
+        with pytest.raises(OwnCodeError, match=f"'mine' must .*number from 0 to 1.*got {value}"):
+            report(tmp_path)
+    finally:
+        unregister("mine")
     assert not (tmp_path / "report.csv").exists()
 
 

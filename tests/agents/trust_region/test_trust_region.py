@@ -102,6 +102,30 @@ def test_a_step_that_is_not_finite_is_not_taken():
     assert torch.equal(found.params, torch.tensor([[1.0], [0.0]]).expand(2, 32))
 
 
+def test_a_rule_may_learn_no_cost():
+    """Its step is that of a rule that learns a cost and ignores it."""
+    actor, epoch = random_actor(2), random_epoch(torch.full((2,), 60), BLOCK)
+    anything = torch.zeros(2).bool(), torch.full((2,), torch.inf), torch.zeros(2)
+    chosen = Step(0.001 * normal(2, NETS.actor.size, seed=1), *anything)
+    found = []
+    for costs in (1, 0):
+        seen = []
+
+        def step(config, problem, seen=seen):
+            seen.append(problem)
+            return chosen
+
+        rule = trpo.StepRule(lambda config, reward, *_: reward, step, costs=costs)
+        learned = {k: getattr(epoch, k)[:, :costs] for k in ("cost", "cost_advantage")}
+        state, steps = OnPolicyState(actor, None, None, ()), np.full(2, 60)
+        what = CPOConfig(), rule, state, epoch._replace(**learned), steps
+        params, records = trpo.policy_step(NETS, *what)
+        found.append((params, records["kl"], records["step_scale"], seen[0].gradient))
+    assert seen[0].excess.tolist() == [0.0, 0.0]
+    torch.testing.assert_close(found[0], found[1], rtol=0, atol=0)
+    assert (found[0][2] > 0).all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_no_step_beyond_the_trust_region_gets_through(seed):
     """Random steps of all sizes for random policies, judged again with torch.distributions.
