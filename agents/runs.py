@@ -127,10 +127,11 @@ class Runs:
         incomplete; such a run has no values): see `agents.results.frame.frame`.
 
         rows: "episodes" and "updates" give a row for each episode, or each epoch's update, of every
-        run so far, "evaluations" a row for each evaluated episode during training
-        (step: the multiple of `evaluate_every` that was reached) and at the end. These frames have the columns folder, algorithm, task and
-        seed, and the hyper-parameters and task parameters in which the folders differ. Archives
-        hold only the multipliers of updates, at most 500 of each run, and the last evaluation.
+        run so far, "evaluations" a row for each evaluated episode during training (step: the
+        multiple of `evaluate_every` that was reached) and at the end. These frames have the columns
+        folder, algorithm, task and seed, and the hyper-parameters and task parameters in which the
+        folders differ. Archives hold only the multipliers of updates, at most 500 of each run, and
+        the last evaluation.
         """
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")

@@ -2,8 +2,8 @@
 
 python benchmarks/render_speed.py
 
-Each backend is measured in a separate process, in turns. The reference is a frame of gymnasium's
-Reacher-v5 at its default size, with the same backend.
+Each backend is measured in a separate process, in turns; times are those of the processor. The
+reference is a frame of gymnasium's Reacher-v5, with the same backend.
 """
 
 import json
@@ -16,6 +16,7 @@ import time
 import numpy as np
 
 VISITS, STATES, EPISODE = 1_000_000, 10_000, 50
+SIZE, CELLS = 640, 160
 TURNS, REPEATS = 5, 5
 # Threads of NumPy, and of Mesa's llvmpipe.
 ONE_CORE = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
@@ -25,9 +26,9 @@ def milliseconds(call, repeats=1):
     """Return the median milliseconds of a call."""
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         call()
-        times.append(1e3 * (time.perf_counter() - start))
+        times.append(1e3 * (time.process_time() - start))
     return statistics.median(times)
 
 
@@ -42,38 +43,37 @@ def walks(config, episodes):
 
 def measure():
     """Measure one turn of the backend that MUJOCO_GL names; return milliseconds by name."""
-    from circle2d_mj import Circle2DConfig
-    from circle2d_mj.render.renderer import Renderer
-
-    config = Circle2DConfig(level=3)
-    visited = walks(config, VISITS // EPISODE)[0][:, 1:].reshape(-1, 2)
-    paths, costs = walks(config, STATES // EPISODE)
-    start = time.perf_counter()
-    renderer = Renderer(config)
-    times = {"new renderer": 1e3 * (time.perf_counter() - start)}
-    times["heat map of 1 000 000 states, the first"] = milliseconds(
-        lambda: renderer.heatmap(visited)
-    )
-    times["heat map of 1 000 000 states, each further one"] = milliseconds(
-        lambda: renderer.heatmap(visited), REPEATS
-    )
-    times["trajectories of 10 000 states"] = milliseconds(
-        lambda: renderer.trajectories(paths, costs), REPEATS
-    )
-    renderer.frame()
-    times["frame, 640 x 640"] = milliseconds(lambda: renderer.frame((5.0, 3.0)), 4 * REPEATS)
-    return times | yardstick()
-
-
-def yardstick():
-    """Measure a frame of gymnasium's Reacher-v5, 480 x 480."""
     import gymnasium as gym
 
-    env = gym.make("Reacher-v5", render_mode="rgb_array")
-    env.reset(seed=0)
-    env.render()
-    times = {"gymnasium's Reacher-v5, a frame, 480 x 480": milliseconds(env.render, 4 * REPEATS)}
-    env.close()
+    from circle2d_mj import Circle2DConfig
+    from circle2d_mj.circle2d.view import Circle2DView
+    from circle2d_mj.core.view import histogram
+    from circle2d_mj.render import canvas
+
+    config = Circle2DConfig(level=3)
+    paths, costs = walks(config, VISITS // EPISODE)
+    visited, view = paths[:, 1:].reshape(-1, 2), Circle2DView(config)
+    ground = view.background(SIZE)
+    few = STATES // EPISODE
+
+    def heat_map():
+        counts = histogram(view.extent, visited, CELLS)
+        return view.overlay(canvas.with_counts(ground, counts, canvas.most_visits([counts])))
+
+    def trajectories():
+        drawn = canvas.with_trajectories(ground, view.extent, paths[:few], costs[:few])
+        return view.overlay(drawn)
+
+    times = {
+        "heat map of 1 000 000 states": milliseconds(heat_map, REPEATS),
+        "trajectories of 10 000 states": milliseconds(trajectories, REPEATS),
+    }
+    for task in ("Circle2D-3-v0", "Circle2DMuJoCo-3-v0", "Reacher-v5"):
+        env = gym.make(task, render_mode="rgb_array")
+        env.reset(seed=0)
+        height, width, _ = env.render().shape
+        times[f"frame of {task}, {width} x {height}"] = milliseconds(env.render, 4 * REPEATS)
+        env.close()
     return times
 
 
@@ -93,7 +93,7 @@ def main():
     print(f"| milliseconds, median of {TURNS} processes | EGL | OSMesa |\n| --- | --- | --- |")
     for name in turns["egl"][0]:
         medians = (statistics.median(turn[name] for turn in turns[b]) for b in backends)
-        print(f"| {name} | {' | '.join(f'{value:.0f}' for value in medians)} |")
+        print(f"| {name} | {' | '.join(f'{value:.1f}' for value in medians)} |")
 
 
 if __name__ == "__main__":

@@ -19,12 +19,11 @@ pytest.register_assert_rewrite("scripted")  # its `follow` asserts for two files
 def opengl():
     """Skip the test if no library for off-screen drawing is installed; the message says what to
     install. A library that is installed but does not work is a failure."""
-    from circle2d_mj import Circle2DConfig
+    from circle2d_mj.core.engine import mujoco
     from circle2d_mj.render import gl
-    from circle2d_mj.render.renderer import Renderer
 
     try:
-        Renderer(Circle2DConfig(), 64).close()
+        gl.Offscreen(mujoco.MjModel.from_xml_string("<mujoco/>"), 64, 64).close()
     except gl.NoOpenGL as error:
         if str(error).count("is missing") == len(gl.LIBRARIES):
             pytest.skip(str(error))

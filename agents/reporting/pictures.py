@@ -36,7 +36,6 @@ CELLS = 160
 """Cells along each side of a heat map."""
 SIZE = 640
 """Default pixels along the side of a map."""
-AGENT = (200, 30, 30)
 """Colour of the agent."""
 HELD = 8
 """Number of further pictures for which an episode's last one stays."""
@@ -232,16 +231,7 @@ def _state(
     view, path = ground.view, episode.positions
     way, costs = path[: steps + 1], episode.costs[:steps]
     painted = canvas.with_trajectories(ground.background, view.extent, [way], [costs])
-    return _with_agent(view.overlay(painted), view, path[steps])
-
-
-def _with_agent(picture: Picture, view: View, position: NDArray[np.floating]) -> Picture:
-    """Draw a disc where the agent is."""
-    image, radius = Image.fromarray(picture), max(len(picture) / 60, 2.5)
-    column, row = canvas.pixels(view.extent, position, len(picture))
-    corners = (column - radius, row - radius, column + radius, row + radius)
-    ImageDraw.Draw(image).ellipse(corners, fill=AGENT, outline=(255, 255, 255))
-    return np.asarray(image)
+    return canvas.with_agent(view.overlay(painted), view.extent, path[steps])
 
 
 def _even(picture: Picture) -> Picture:

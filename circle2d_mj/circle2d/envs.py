@@ -44,7 +44,7 @@ class Circle2D:
         # The dynamics hold the whole state.
         self.start, self.observe = dynamics.start, dynamics.observe
         self.state_dict, self.load_state_dict = dynamics.state_dict, dynamics.load_state_dict
-        self._drawer: Any = None
+        self._offscreen: Any = None
         self._window: Any = None
 
     @property
@@ -68,22 +68,23 @@ class Circle2D:
         return tell() if tell else {}
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """Draw agent `index` in its arena: [640, 640, 3]."""
+        """Draw agent `index` in its arena, with physics by OpenGL: [640, 640, 3]."""
         dynamics: Any = self.dynamics
-        with_physics = dynamics.camera is not None
-        if self._drawer is None:
-            if with_physics:
-                from circle2d_mj.render.gl import Offscreen
+        if dynamics.camera is None:
+            from circle2d_mj.render import canvas
 
-                self._drawer = Offscreen(dynamics.model, FRAME_SIZE, FRAME_SIZE, True)
-            else:
-                from circle2d_mj.render.renderer import Renderer
+            return canvas.with_agent(self._arena, self.view.extent, dynamics.position[index])
+        if self._offscreen is None:
+            from circle2d_mj.render.gl import Offscreen
 
-                self._drawer = Renderer(self.config)
-        if with_physics:
-            camera = dynamics.model.camera(dynamics.camera).id
-            return self._drawer.draw(dynamics.data(index), camera)
-        return self._drawer.frame(dynamics.position[index])
+            self._offscreen = Offscreen(dynamics.model, FRAME_SIZE, FRAME_SIZE, True)
+        camera = dynamics.model.camera(dynamics.camera).id
+        return self._offscreen.draw(dynamics.data(index), camera)
+
+    @cached_property
+    def _arena(self) -> NDArray[np.uint8]:
+        """Picture of the arena without agents."""
+        return self.view.overlay(self.view.background(FRAME_SIZE))
 
     def show(self, index: int) -> None:
         """Show agent `index` in MuJoCo's viewer."""
@@ -105,13 +106,13 @@ class Circle2D:
 
     def close(self) -> None:
         """Close what `frame` and `show` opened."""
-        for drawer in (self._drawer, self._window):
+        for drawer in (self._offscreen, self._window):
             if drawer is not None:
                 drawer.close()
-        self._drawer = self._window = None
+        self._offscreen = self._window = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_drawer": None, "_window": None}  # cannot be copied
+        return self.__dict__ | {"_offscreen": None, "_window": None}  # cannot be copied
 
 
 class Circle2DVectorEnv(TaskVectorEnv):

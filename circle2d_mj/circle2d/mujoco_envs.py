@@ -31,9 +31,9 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     Parameters that `randomize` draws are in the info by name, [num_envs] float64.
 
     Parameters: the fields of `Circle2DConfig` and `PhysicsConfig`. num_threads: threads that step
-    the environments, with the same results for any number. camera: "top", "side" or "follow" for
+    the environments, with the same results for any number. camera: "top", "side" or "follow", of
     frames that MuJoCo draws, with shadows and the region's forces as arrows; None for plain
-    pictures of the arena.
+    pictures of the arena, which need no OpenGL.
     """  # noqa: E501
 
     def __init__(

@@ -1,5 +1,1 @@
 """Pictures: canvas, figures, and off-screen OpenGL."""
-
-from circle2d_mj.render.renderer import Renderer
-
-__all__ = ["Renderer"]

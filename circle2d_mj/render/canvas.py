@@ -16,6 +16,7 @@ from circle2d_mj.core.view import Extent, Picture
 
 FREE, REGION, INK = (252, 252, 252), (190, 190, 190), (20, 20, 20)
 DOT, LINE, BOX = (28, 84, 200), (85, 125, 210), (240, 130, 10)
+AGENT = (200, 30, 30)
 # fmt: off
 HEAT = (
     (253, 231, 37), (216, 226, 25), (173, 220, 48), (132, 212, 75), (94, 201, 98),
@@ -188,6 +189,15 @@ def with_cross(picture: Picture, extent: Extent, point: ArrayLike) -> Picture:
             draw.line(ends, fill=colour, width=thickness)
     painted.paste(patch.reduce(FINER), (left, top))
     return np.asarray(painted)
+
+
+def with_agent(picture: Picture, extent: Extent, position: ArrayLike) -> Picture:
+    """Draw a disc where the agent is, [2]."""
+    image, radius = Image.fromarray(picture), max(len(picture) / 60, 2.5)
+    column, row = pixels(extent, position, len(picture))
+    corners = (column - radius, row - radius, column + radius, row + radius)
+    ImageDraw.Draw(image).ellipse(corners, fill=AGENT, outline=(255, 255, 255))
+    return np.asarray(image)
 
 
 def with_ticks(

@@ -95,14 +95,6 @@ class Offscreen:
         self._free.atexit = False
         atexit.register(self._free)
 
-    def upload(self, texture: int, pixels: NDArray[np.uint8]) -> None:
-        """Replace the pixels of a texture of the model, [height, width, 3]."""
-        self._check_open()
-        start = self._model.tex_adr[texture]
-        self._model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
-        with _current(self._context):
-            self._mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
-
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
         """Draw the view of a camera, `FREE_CAMERA` or a camera of the model: [height, width, 3],
         the top row first."""

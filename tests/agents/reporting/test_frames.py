@@ -10,11 +10,12 @@ from toys import Walk, registered
 import agents
 from agents.cli.main import main
 from agents.reporting import pictures
-from agents.reporting.pictures import AGENT, HELD, Panel
+from agents.reporting.pictures import HELD, Panel
 from agents.results.groups import Episode
 from agents.training.config import RunId
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.render import canvas
 
 
 class Drawn(Walk):
@@ -108,7 +109,7 @@ def episode(steps, costs=COSTS):
 
 def agent(picture):
     """Return the mean column of the pixels in the agent's colour."""
-    return np.nonzero((picture == np.array(AGENT)).all(axis=-1))[1].mean()
+    return np.nonzero((picture == np.array(canvas.AGENT)).all(axis=-1))[1].mean()
 
 
 def test_a_film_shows_every_state_and_waits_for_the_longer_episode():

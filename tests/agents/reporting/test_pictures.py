@@ -18,7 +18,7 @@ from agents.training.derive import Steps, count_visits
 from agents.training.trainer import train
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
-from circle2d_mj.render import canvas, gl, renderer
+from circle2d_mj.render import canvas, gl
 from circle2d_mj.render.gl import NoOpenGL
 
 
@@ -68,7 +68,6 @@ def test_commands_write_pictures_and_films(folder, tmp_path, capsys, monkeypatch
         raise NoOpenGL("install one")
 
     monkeypatch.setattr(gl, "check_backend", nothing)
-    monkeypatch.setattr(renderer, "check_backend", nothing)
     for command, name, shape in (
         ("heatmap", "h.png", None),
         ("render", "t.png", None),

@@ -21,31 +21,36 @@ other = Other()
 weakref.finalize(other, int)  # its exit hook runs after everything that is registered from here on
 if "mujoco-first" in sys.argv:
     import mujoco
-from circle2d_mj import Circle2DConfig
-from circle2d_mj.render.gl import NoOpenGL
-from circle2d_mj.render.renderer import Renderer
+from circle2d_mj.render.gl import NoOpenGL, Offscreen, check_backend
 if "mujoco-3.17" in sys.argv:
     import importlib, os
     del importlib.import_module("mujoco." + os.environ["MUJOCO_GL"]).GLContext.as_current
+XML = (
+    "<mujoco><worldbody><camera name='top' pos='0 0 2' projection='orthographic' fovy='2'/>"
+    "<light pos='0 0 3'/><geom size='.1' pos='.5 .5 0' rgba='1 0 0 1'/></worldbody></mujoco>")
 try:
-    renderer = Renderer(Circle2DConfig(level=3), 60)
+    check_backend()  # before mujoco is imported, unless it is first
+    from circle2d_mj.core.engine import mujoco
+    model = mujoco.MjModel.from_xml_string(XML)
+    offscreen = Offscreen(model, 61, 62)  # OpenGL aligns rows of pixels to 4 bytes by default
 except NoOpenGL as error:
     print("NoOpenGL", error)
     raise SystemExit
-empty, with_agent = renderer.frame(), renderer.frame((7.5, 7.5))
-assert (empty == renderer.background).all()
-rows, columns = (with_agent != empty).any(axis=-1).nonzero()
-assert abs(columns.mean() + 0.5 - 45) < 1 and abs(rows.mean() + 0.5 - 15) < 1, (columns, rows)
-print(type(renderer._offscreen._context).__module__)
-"""  # it ends without closing the renderer
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+picture = offscreen.draw(data, 0)
+assert picture.shape == (62, 61, 3), picture.shape
+rows, columns = (picture[..., 0] > 100).nonzero()
+assert abs(columns.mean() + 0.5 - 46) < 1 and abs(rows.mean() + 0.5 - 15.5) < 1, (columns, rows)
+print(type(offscreen._context).__module__)
+"""  # it ends without closing the buffer
 
-# Renderers of the package and of MuJoCo draw in turns; then many of the package's.
+# Buffers of the package and renderers of MuJoCo draw in turns; then many of the package's.
 TURNS = """
 import gc, os
 from pathlib import Path
 import mujoco
-from circle2d_mj import Circle2DConfig
-from circle2d_mj.render.renderer import Renderer
+from circle2d_mj.render.gl import FREE_CAMERA, Offscreen
 
 model = mujoco.MjModel.from_xml_string(
     "<mujoco><visual><quality shadowsize='0'/></visual><worldbody><light pos='0 0 3'/>"
@@ -57,15 +62,18 @@ def theirs(renderer):
     renderer.update_scene(data)
     return renderer.render()
 
-first, one = Renderer(Circle2DConfig(level=1), 64), mujoco.Renderer(model, 50, 50)
-second, other = Renderer(Circle2DConfig(level=3), 100), mujoco.Renderer(model, 40, 40)
-pictures = first.frame((1, 1)), theirs(one).copy(), second.frame((2, 2)), theirs(other).copy()
-assert len({p.tobytes() for p in pictures}) == 4
+def ours(offscreen):
+    return offscreen.draw(data, FREE_CAMERA)
+
+first, one = Offscreen(model, 64, 64), mujoco.Renderer(model, 50, 50)
+second, other = Offscreen(model, 100, 33), mujoco.Renderer(model, 40, 40)
+pictures = ours(first), theirs(one).copy(), ours(second), theirs(other).copy()
+assert len({p.tobytes() for p in pictures}) == 4 and all(p.std() > 10 for p in pictures)
 for _ in range(2):
-    assert (theirs(other) == pictures[3]).all() and (first.frame((1, 1)) == pictures[0]).all()
-    assert (second.frame((2, 2)) == pictures[2]).all() and (theirs(one) == pictures[1]).all()
+    assert (theirs(other) == pictures[3]).all() and (ours(first) == pictures[0]).all()
+    assert (ours(second) == pictures[2]).all() and (theirs(one) == pictures[1]).all()
 second.close(), one.close()
-assert (first.frame((1, 1)) == pictures[0]).all() and (theirs(other) == pictures[3]).all()
+assert (ours(first) == pictures[0]).all() and (theirs(other) == pictures[3]).all()
 first.close()
 assert (theirs(other) == pictures[3]).all()
 
@@ -76,12 +84,11 @@ def held():
 
 def draw(times):
     for k in range(times):
-        renderer = Renderer(config, 32)
-        renderer.frame((0, 0))
+        offscreen = Offscreen(model, 32, 32)
+        ours(offscreen)
         if k % 2:
-            renderer.close()  # the others go when they are no longer referred to
+            offscreen.close()  # the others go when they are no longer referred to
 
-config = Circle2DConfig()
 draw(2)
 files, megabytes = held()
 draw(6)
