@@ -89,7 +89,7 @@ _SLOW = _GOAL | {"pid_kp": 0.02, "pid_ki": 0.001}
 _CHEETAH = {"normalize_observations": True, "episodes": 10, "cost_limit": 20.0}
 _CHEETAH |= {"initial_log_std": -1.0, "kl_stop": 0.02}
 _CHEETAH |= {"pid_kp": 0.05, "pid_ki": 0.003, "pid_kd": 0.01}
-# The paper's values for the algorithm, which was developed on these tasks.
+# The defaults of the algorithm, which was developed on these tasks, with the paper's limit.
 _CIRCLE2D = {
     task: Recipe("sac-lb-streak", 1_000_000, {"cost_limit": 5.0, "input_scale": scale})
     for task, scale in LENGTHS.items()

@@ -20,8 +20,9 @@ def zoo() -> pandas.DataFrame:
     J_R and J_C are means over fresh seeds, with 100 episodes each, of the undiscounted return and
     cost of the policy without its noise and with it. EMCC_0.33 to EMCC_0.99 are those of the thirds
     of training (α = 0.1, in windows of ten episodes). published_J_R and published_J_C are those of
-    the algorithm in OmniSafe's benchmarks with the highest return within the limit, after ten
-    million steps on-policy and three million off-policy. `policy` is a name for `load_policy`;
+    the algorithm in OmniSafe's benchmarks with the highest return within the limit, without those
+    that end an episode at the limit; its on-policy algorithms took ten million steps, the others up
+    to three million. `policy` is a name for `load_policy`;
     `commit` is the version of this package that trained the agents.
     """
     extra("pandas", "train")

@@ -8,8 +8,9 @@ and of one run relative to PPO and SAC of Stable-Baselines3. Timed are CPU secon
 updates and records, after a warm-up epoch. Each measurement is a separate process; sides take
 turns, and medians over turns are printed. A turn takes about a quarter of an hour with --backends
 c++, half of it the older version's compilation. 81307c5 is the last version with `torch.compile`,
-which it uses here. For a single measurement, such as one of OmniSafe where it is installed: --one
-PPOLag SafetyPointGoal1-v0, to compare with --one ppo-lag SafetyPointGoal1-v0 1 c++.
+which it uses here. For a single measurement, such as one of OmniSafe where it is installed, or of
+PPO of Stable-Baselines3 with ten environments: --one PPOLag SafetyPointGoal1-v0, --one PPO
+SafetyPointGoal1-v0 10, to compare with --one ppo-lag SafetyPointGoal1-v0 1 c++.
 """
 
 import argparse
@@ -66,23 +67,23 @@ def ours(algorithm, task, runs, how):
             return (trainer.steps.sum() - before) / (time.process_time() - start)
 
 
-def theirs(name, task):
+def theirs(name, task, environments=1):
     """Return the steps per CPU second of one run of Stable-Baselines3."""
-    import gymnasium as gym
     import stable_baselines3 as sb3
     import torch
+    from stable_baselines3.common.env_util import make_vec_env
 
     import circle2d_mj  # noqa: F401  (registers the tasks)
 
     torch.set_num_threads(1)
     if name == "PPO":
         warm, steps = 10_000, 10_000
-        how = {"n_steps": warm, "batch_size": 64, "n_epochs": 10}
+        how = {"n_steps": warm // environments, "batch_size": 64, "n_epochs": 10}
     else:
         warm, steps = 300, 40 * EPISODE
         how = {"batch_size": 256, "learning_starts": 256, "train_freq": 1, "gradient_steps": 1}
     layers = {"net_arch": [64, 64]}
-    env = gym.make(task)
+    env = make_vec_env(task, environments)
     model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs=layers, device="cpu", **how)
     model.learn(warm)
     start = time.process_time()
@@ -169,10 +170,10 @@ def main():
     options = parser.parse_args()
     if options.one:
         name, task, *how = options.one
-        if how:
+        if len(how) == 2:
             print(ours(name, task, int(how[0]), how[1]))
         else:
-            print((by_omnisafe if name in OMNISAFE else theirs)(name, task))
+            print((by_omnisafe if name in OMNISAFE else theirs)(name, task, *map(int, how)))
         return
     if not options.before:
         parser.error("--before must be a checkout of the older version")

@@ -7,7 +7,7 @@ packages `agents` (algorithms and trained agents) and `emcc` (the metric) belong
     env = gym.make("Circle2D-1-v0")
 
 Importing the package registers its tasks with Gymnasium. If a program takes only an id, a prefix
-imports the package: `gym.make("circle2d_mj:Circle2D-1-v0")`. `circle2d_mj.render` draws pictures.
+imports the package: `gym.make("circle2d_mj:Circle2D-1-v0")`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from circle2d_mj.circle2d.region import CostRegion
 from circle2d_mj.registration import register
 
 if TYPE_CHECKING:
-    from circle2d_mj import render
     from circle2d_mj.safety.six_values import FromSafetyGymnasium, SafetyGymnasiumAPI
 
     __version__: str
@@ -34,13 +33,10 @@ __all__ = [
     "FromSafetyGymnasium",
     "SafetyGymnasiumAPI",
     "__version__",
-    "render",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "render":
-        return import_module("circle2d_mj.render")
     if name in ("FromSafetyGymnasium", "SafetyGymnasiumAPI"):
         return getattr(import_module("circle2d_mj.safety.six_values"), name)
     if name == "__version__":

@@ -146,8 +146,9 @@ def zoo(args: Sequence[str]) -> int:
     ]
     words = (
         "J_R, J_C: undiscounted, deterministic policy, 100 episodes per seed; limit of J_C: 25, "
-        "5 on Circle2D; published: the highest return within the limit in OmniSafe's benchmarks, "
-        "10 000 000 steps on-policy and 3 000 000 off-policy"
+        "5 on Circle2D; published: the highest return within the limit in OmniSafe's benchmarks "
+        "(on-policy 10 000 000 steps, off-policy up to 3 000 000), without algorithms that end an "
+        "episode at the limit"
     )
     show([Table(words, ["agent", *(n.replace("_J", " J") for n in numbers)], shown)], options.width)
     return 0

@@ -55,7 +55,7 @@ def draw_curves(rows: pd.DataFrame, curves: pd.DataFrame) -> None:
                 if column == 0:
                     axis.set_ylabel(name)
             if np.isfinite(row.published_J_R):
-                upper.axhline(row.published_J_R, **DASHED, label="best published within the limit")
+                upper.axhline(row.published_J_R, **DASHED, label="OmniSafe's best within the limit")
             upper.set_title(short(row.task), fontsize=8)
             upper.tick_params(labelbottom=False)
             limit = limit_of(row.task)

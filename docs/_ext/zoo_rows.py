@@ -1,5 +1,5 @@
-"""Add trained runs of the zoo to results/zoo (zoo.csv, curves.csv) and one of their policies to the
-package, and print rows for the page's table.
+"""Add trained runs of the zoo to results/zoo (zoo.csv, seeds.csv, curves.csv) and one of their
+policies to the package, and print rows for the page's table.
 
 python docs/_ext/zoo_rows.py FOLDER ...
 
@@ -13,7 +13,7 @@ import functools
 import json
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from agents.training.policy import read_policy_arrays
 
 ROOT = Path(__file__).parents[2]
 TABLE, POLICIES = ROOT / "results/zoo/zoo.csv", ROOT / "agents/policies/zoo"
-CURVES = ROOT / "results/zoo/curves.csv"
+CURVES, SEEDS = ROOT / "results/zoo/curves.csv", ROOT / "results/zoo/seeds.csv"
 WINDOW, POINTS = 10, 50
 # From OmniSafe's benchmarks (its repository, benchmarks/on-policy and off-policy): J_R, J_C and the
 # algorithm with the highest return within the limit, without algorithms that end an episode at the
@@ -116,6 +116,17 @@ def line(folder: Path, own: Mapping[str, Any]) -> str:
     return f"| {' | '.join([*cells, published])} |\n{intervals}"
 
 
+def seeds(folder: Path) -> pd.DataFrame:
+    """Return the rows of seeds.csv: what each seed reaches, without its noise and with it."""
+    means, config = evaluated(folder).round(3), TrainConfig.read(folder)
+    plain, noisy = (means.loc[policy] for policy in ("deterministic", "stochastic"))
+    columns = {"J_R": plain["return"], "J_C": plain.cost}
+    columns |= {"J_R_stochastic": noisy["return"], "J_C_stochastic": noisy.cost}
+    found = pd.DataFrame(columns).rename_axis("seed").reset_index()
+    task = config.tasks[0].rpartition("/")[2]
+    return found.assign(task=task, algorithm=config.algorithm, steps=config.steps)
+
+
 def curves(folder: Path) -> pd.DataFrame:
     """Return `POINTS` rows with return and cost of training episodes: mean, lowest and highest of
     the runs' means."""
@@ -152,13 +163,13 @@ def write_policy(folder: Path, seed: int) -> None:
     write_arrays(target / "checkpoints" / f"{steps:09}.npz", arrays)
 
 
-def write_rows(path: Path, rows: pd.DataFrame) -> None:
-    """Write rows to a table, in place of the table's rows of the same tasks."""
+def write_rows(path: Path, rows: pd.DataFrame, by: Sequence[str] = ("task",)) -> None:
+    """Write rows to a table, in place of the table's rows of the same tasks, or tasks and seeds."""
     if path.exists():
-        old = pd.read_csv(path)
-        rows = pd.concat([old[~old.task.isin(rows.task)], rows])
+        old, own = pd.read_csv(path), pd.MultiIndex.from_frame(rows[[*by]])
+        rows = pd.concat([old[~pd.MultiIndex.from_frame(old[[*by]]).isin(own)], rows])
     path.parent.mkdir(exist_ok=True)
-    rows.sort_values("task", kind="stable").to_csv(path, index=False)
+    rows.sort_values([*by], kind="stable").to_csv(path, index=False)
 
 
 def main(folders: list[Path]) -> None:
@@ -167,6 +178,7 @@ def main(folders: list[Path]) -> None:
     for folder, own in zip(folders, rows, strict=True):
         print(line(folder, own))
     write_rows(TABLE, pd.DataFrame(rows))
+    write_rows(SEEDS, pd.concat([seeds(folder) for folder in folders]), ("task", "seed"))
     write_rows(CURVES, pd.concat([curves(folder) for folder in folders]))
     for folder in folders:
         write_policy(folder, chosen_seed(folder))

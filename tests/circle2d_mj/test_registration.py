@@ -37,9 +37,9 @@ def test_the_import_loads_no_heavy_library(tmp_path):
 import sys, circle2d_mj
 heavy = ("torch", "OpenGL", "mujoco", "matplotlib", "PIL", "agents", "emcc")
 print([m for m in heavy if m in sys.modules])
-print(circle2d_mj.__version__, circle2d_mj.render.Renderer.__module__)
+print(circle2d_mj.__version__, circle2d_mj.Circle2DEnv.__module__)
 """
-    expected = ["[]", f"{version('circle2d-mj')} circle2d_mj.render.renderer"]
+    expected = ["[]", f"{version('circle2d-mj')} circle2d_mj.circle2d.envs"]
     assert run(code, tmp_path).splitlines() == expected
 
 

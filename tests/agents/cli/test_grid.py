@@ -90,7 +90,7 @@ def test_options_of_algorithms_are_read_apart():
         (["ppo", "cpo", "--cost-limit", "3"], "ppo has no hyper-parameter 'cost_limit'"),
         (["cpo", "--cost-limt", "3"], "did you mean 'cost_limit'?"),
         (["cpo", "--cost-limit", "three"], "cost_limit must be a finite number, got 'three'"),
-        ([], "grid needs at least one algorithm and one task"),
+        ([], "grid needs at least one algorithm"),
         (["cpo", "--shard", "3/2"], "shard must be I/N"),
     ],
 )
