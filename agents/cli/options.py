@@ -73,6 +73,8 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
     Raises UserError, with a one-line message, for unknown, missing and invalid options.
     """
     import_modules(args)
+    if [arg.partition("=")[0] for arg in args].count("--task") > 1:  # only the last would count
+        raise UserError("--task is given twice: name all tasks after the first, as in --task A B")
     message = io.StringIO()
     try:
         with contextlib.redirect_stderr(message), _REGISTRY:

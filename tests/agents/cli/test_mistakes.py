@@ -61,6 +61,7 @@ def mistake(arguments, capsys):
         ([*TO, "--task", "CartPole-v1"], "action space.*flat Box.*continuous.*RecordCosts"),
         ([*TO, "--task", "Pendulum-v1"], "info\\['cost'\\]"),
         ([*TO, "--task", "Circle2D-1", "Circle2D-1"], "different"),
+        ([*TO, "--task", "Circle2D-1", "--task=Circle2D-2"], "--task is given twice: name all"),
         ([*TO, "--task-parameters", "max_episode_steps", "None"], "episodes must end"),
         (
             [*TRAIN, "--out", "{folder}"],
