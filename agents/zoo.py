@@ -22,8 +22,8 @@ def zoo() -> pandas.DataFrame:
     of training (α = 0.1, in windows of ten episodes). published_J_R and published_J_C are those of
     the algorithm in OmniSafe's benchmarks with the highest return within the limit, without those
     that end an episode at the limit; its on-policy algorithms took ten million steps, the others up
-    to three million. `policy` is a name for `load_policy`;
-    `commit` is the version of this package that trained the agents.
+    to three million. `policy` is a name for `load_policy`; `commit` is the version of this package
+    that trained the agents.
     """
     extra("pandas", "train")
     import pandas as pd

@@ -1,20 +1,19 @@
 """SAC-LB-Streak: SAC-LB whose learned cost grows along a streak of cost steps.
 
 SAC-LB as in the paper's grid mostly stays in the local optima of levels 2 and 3 (12 of 20 runs),
-and its EMCC falls late.
-The streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
-critics see how long the current one has lasted. The other changes are for exploration. A bonus for
-states that a run has seldom seen (see `agents.sac.replay`) leads the policy along the rim of the
-region, where the reward is flat, while the barrier keeps the policy out of the region. Brown random
-actions show the critics the region's far side, and a quarter of each batch is drawn from them
-throughout (as from prior data in RLPD, Ball et al. 2023). The reward critics bootstrap at the time
-limit: the observation does not contain the time, and with a terminal limit it would pay to wait
-where episodes end (Pardo et al. 2018). The cost critics do not bootstrap there, since the cost
-limit is that of an episode. The networks learn faster, and the temperature falls more slowly, so
-that the critics know the way before the policy's entropy is low. On Circle2D the preset scales
-positions back to units of length. Source of the barrier: Zhang et al. 2024 (see `sac_lb`).
-`results/solve/README.md` has the trials and an ablation of each part: not every part proves to be
-needed.
+and its EMCC falls late. The streak cost makes EMCC an objective: a long violation costs more than
+many short ones, and the critics see how long the current one has lasted. The other changes are for
+exploration. A bonus for states that a run has seldom seen (see `agents.sac.replay`) leads the
+policy along the rim of the region, where the reward is flat, while the barrier keeps the policy out
+of the region. Brown random actions show the critics the region's far side, and a quarter of each
+batch is drawn from them throughout (as from prior data in RLPD, Ball et al. 2023). The reward
+critics bootstrap at the time limit: the observation does not contain the time, and with a terminal
+limit it would pay to wait where episodes end (Pardo et al. 2018). The cost critics do not bootstrap
+there, since the cost limit is that of an episode. The networks learn faster, and the temperature
+falls more slowly, so that the critics know the way before the policy's entropy is low. On Circle2D
+the preset scales positions back to units of length. Source of the barrier: Zhang et al. 2024 (see
+`sac_lb`). `results/solve/README.md` has the trials and an ablation of each part: not every part
+proves to be needed.
 """
 
 from __future__ import annotations

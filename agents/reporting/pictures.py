@@ -36,7 +36,6 @@ CELLS = 160
 """Cells along each side of a heat map."""
 SIZE = 640
 """Default pixels along the side of a map."""
-"""Colour of the agent."""
 HELD = 8
 """Number of further pictures for which an episode's last one stays."""
 FRAMES_A_SECOND = 10
