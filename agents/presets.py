@@ -96,6 +96,7 @@ _CIRCLE2D = {
 }
 ZOO = _CIRCLE2D | {
     "circle2d_mj/SafetyCarGoal1-v0": Recipe("trpo-pid", 4_500_000, _SLOW),
+    "circle2d_mj/SafetyCarGoal2-v0": Recipe("trpo-pid", 9_000_000, _SLOW),
     "circle2d_mj/SafetyHalfCheetahVelocity-v1": Recipe("cppo-pid", 5_000_000, _CHEETAH),
     "circle2d_mj/SafetyPointCircle1-v0": Recipe("trpo-pid", 3_000_000, _CIRCLE),
     "circle2d_mj/SafetyPointGoal1-v0": Recipe("trpo-pid", 10_000_000, _GOAL),
