@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,18 +73,14 @@ class Circle2D:
         if dynamics.camera is None:
             from circle2d_mj.render import canvas
 
-            return canvas.with_agent(self._arena, self.view.extent, dynamics.position[index])
+            place = dynamics.position[index]
+            return canvas.with_agent(_arena(self.config), self.view.extent, place)
         if self._offscreen is None:
             from circle2d_mj.render.gl import Offscreen
 
             self._offscreen = Offscreen(dynamics.model, FRAME_SIZE, FRAME_SIZE, True)
         camera = dynamics.model.camera(dynamics.camera).id
         return self._offscreen.draw(dynamics.data(index), camera)
-
-    @cached_property
-    def _arena(self) -> NDArray[np.uint8]:
-        """Picture of the arena without agents."""
-        return self.view.overlay(self.view.background(FRAME_SIZE))
 
     def show(self, index: int) -> None:
         """Show agent `index` in MuJoCo's viewer."""
@@ -113,6 +109,15 @@ class Circle2D:
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_offscreen": None, "_window": None}  # cannot be copied
+
+
+@lru_cache(maxsize=1)  # outside of the copies, whose pickles would hold it
+def _arena(config: Circle2DConfig) -> NDArray[np.uint8]:
+    """Paint the arena without agents: [640, 640, 3]."""
+    from circle2d_mj.circle2d.view import Circle2DView
+
+    view = Circle2DView(config)
+    return view.overlay(view.background(FRAME_SIZE))
 
 
 class Circle2DVectorEnv(TaskVectorEnv):

@@ -29,7 +29,7 @@ def test_rows_recipes_and_policies_are_of_the_same_tasks():
 
 
 def test_rows_are_the_means_of_the_published_seeds():
-    """Of a second try, with seeds from 200, if there is one."""
+    """If a task has a second try, with seeds from 200, its row has the means of that."""
     seeds = pandas.read_csv(ROOT / "results/zoo/seeds.csv")
     means = ["J_R", "J_C", "J_R_stochastic", "J_C_stochastic"]
     rows = agents.zoo().set_index("task")
