@@ -202,14 +202,19 @@ def volume_rows(table):
 
 
 def verdict(judged):
-    """Return the study's answer in a sentence."""
+    """Return the study's answer in a sentence. A failure is final as soon as the remaining tasks
+    cannot avert it: with more tasks, Holm's correction can only raise the p values."""
     primary = judged[judged["arm"] == PRIMARY]
     successes = primary.loc[primary["success"], "task"].tolist()
-    if len(primary) < len(TASKS) and len(successes) < ENOUGH_TASKS:
-        return f"Undecided: {len(primary)} of {len(TASKS)} tasks are complete."
+    done, left = len(primary), len(TASKS) - len(primary)
+    if left and len(successes) + left >= ENOUGH_TASKS:
+        return f"Undecided: {done} of {len(TASKS)} tasks are complete."
     answer = "Success" if len(successes) >= ENOUGH_TASKS else "No success"
     names = f" ({', '.join(successes)})" if successes else ""
-    return f"{answer}: `{PRIMARY}` succeeds on {len(successes)} of {len(TASKS)} tasks{names}."
+    return (
+        f"{answer}: `{PRIMARY}` succeeds on {len(successes)} of {done} tasks{names}; "
+        f"{ENOUGH_TASKS} of {len(TASKS)} are asked."
+    )
 
 
 def page(table):

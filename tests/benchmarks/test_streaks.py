@@ -64,12 +64,24 @@ def test_a_lower_emcc_at_equal_rate_and_return_is_a_success():
     assert streaks.verdict(streaks.judge(fewer)) == "Undecided: 6 of 7 tasks are complete."
 
 
+def test_the_study_fails_as_soon_as_the_remaining_tasks_cannot_avert_it():
+    """After one success and three failures all three others must succeed; a failure decides."""
+    runs = pd.concat([table(0.05, tasks=of(1)), table(0.0, tasks=streaks.TASKS[1:5])])
+    four = streaks.judge(runs[runs["task"] != streaks.TASKS[4]])
+    assert streaks.verdict(four) == "Undecided: 4 of 7 tasks are complete."
+    assert streaks.verdict(streaks.judge(runs)) == (
+        f"No success: `streak 10` succeeds on 1 of 5 tasks ({streaks.TASKS[0]}); 4 of 7 are asked."
+    )
+
+
 def test_an_arm_on_the_controls_curve_is_no_success():
     """It has another cost rate, with the EMCC and the return that the control has there."""
     for rate in (0.008, 0.02):
         judged = streaks.judge(table(rate=rate))
         assert not judged["success"].any()
-        assert streaks.verdict(judged) == "No success: `streak 10` succeeds on 0 of 7 tasks."
+        assert streaks.verdict(judged).startswith(
+            "No success: `streak 10` succeeds on 0 of 7 tasks;"
+        )
     higher = streaks.judge(table(gap=-0.05))
     assert not higher["success"].any() and (primary(higher)["p"] < 0.02).all()
 
