@@ -7,7 +7,7 @@ not allowed.
 import math
 import operator
 import reprlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from numbers import Real
 from typing import Any
@@ -70,7 +70,9 @@ def as_steps(
     values: such an array of all steps, or an array [T] for each trajectory; with the latter,
     lengths may be None.
     """
-    listed = isinstance(values, (list, tuple)) and len(values)  # np.ndim fails on ragged lists
+    if not isinstance(values, (list, tuple)):  # np.ndim fails on ragged lists
+        values = as_array(values, name)
+    listed = isinstance(values, (list, tuple)) and len(values)
     if (1 + np.ndim(values[0]) if listed else np.ndim(values)) < 2 or not len(values):
         if lengths is None:
             rule = "must hold one array for each trajectory, or come with lengths"
@@ -193,6 +195,7 @@ def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
 
 def as_names(value: Any, name: str) -> tuple[str, ...]:
     """Convert to a tuple of different names, at least one. ValueError: anything else."""
-    if isinstance(value, str) or not value or len(set(value)) < len(value):
+    names = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else ()
+    if not names or not all(isinstance(n, str) for n in names) or len({*names}) < len(names):
         raise ValueError(f'{name} must be different names, as in ("cost",), got {value!r}')
-    return tuple(value)
+    return names

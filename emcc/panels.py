@@ -143,6 +143,8 @@ def panel(
         warnings.warn(f"{words} steps_to_feasible: give both", FutureWarning, stacklevel=2)
     moving = as_count(MOVING_WINDOW if moving_window is None else moving_window, "moving_window")
     moving = min(moving, len(episodes) or moving)
+    window = window if window is None else as_count(window, "window")
+    window_steps = window_steps if window_steps is None else as_count(window_steps, "window_steps")
     if total_steps is None:
         total_steps = max(records.total_steps, episodes.total_steps)
     sources = records, episodes, _grouped(records, episodes, window, window_steps)
@@ -212,7 +214,7 @@ def cost_measures(
         severity = float(violating.mean() / limit) if limit and violating.size else None
         limited = {
             "violation_rate": float((over > 0).mean()),
-            "severity": float(over.mean() / limit) if limit else None,
+            "severity": float(cost.mean() / limit) - 1.0 if limit else None,
             "severity_of_violations": severity if violating.size else 0.0,
             "regret": math.fsum(violating),
         }
@@ -240,7 +242,8 @@ def _feasible(
     if limit is None or not len(episodes):
         return None, None
     order = np.argsort(episodes.start_step, kind="stable")
-    within = _windows(episodes.cost[order], window).mean(-1) <= limit
+    # At most the limit, whatever the mean of equal costs is rounded to.
+    within = _windows(episodes.cost[order], window).mean(-1) <= limit * (1 + 1e-12)
     if not within.any():
         return None, 0.0
     first = int(np.argmax(within))

@@ -53,7 +53,7 @@ class CostRecorder:
         """Record one step of every environment; all arguments are [num_envs].
 
         done: the episode ended with this step. active: False for environments that took no step
-        (an autoreset, say); their other values are ignored.
+        (an autoreset, say); their cost and reward are ignored.
         ValueError: a wrong shape, a NaN, infinite or negative cost, a NaN or infinite reward.
         """
         active = np.ones(self.num_envs, dtype=bool) if active is None else self._mask(active)

@@ -87,6 +87,9 @@ class EpisodeRecords:
         named = zip(COLUMNS, vars(self).values(), strict=True)
         return {name: array for name, array in named if array is not None}
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return EpisodeRecords, tuple(vars(self).values())  # NumPy's own pickles can be written to
+
     def __len__(self) -> int:
         return len(self.rollout)
 

@@ -50,7 +50,9 @@ class EMCCCallback(BaseCallback):
         costs: Sequence[str] = ("cost",),
     ) -> None:
         super().__init__(verbose)
-        if isinstance(rollout, str) and rollout not in ("auto", "update", "episode"):
+        if not isinstance(rollout, str):
+            rollout = as_count(rollout, "rollout")
+        elif rollout not in ("auto", "update", "episode"):
             allowed = '"auto", "update", "episode" or a number'
             raise ValueError(f"rollout must be {allowed}, got {rollout!r}")
         worst([0.0], alpha)  # checks alpha before training starts

@@ -65,12 +65,18 @@ class Run:
 
 
 def read(
-    path: str | os.PathLike[str], threshold: float = 0.0, cost: str | None = None
+    path: str | os.PathLike[str],
+    threshold: float = 0.0,
+    cost: str | None = None,
+    *,
+    episodes: bool = False,
 ) -> EpisodeRecords:
     """Read the records of one training run, from a file or run folder as `python -m emcc` does.
 
     threshold: a step whose cost exceeds it is a cost step.
     cost: name of the cost, for a run with several; by default the first.
+    episodes: return whole episodes, where the column `rollout` of a file cuts them into pieces: for
+    windows of episodes, and for `panel(..., episodes=read(path, episodes=True))`.
     ValueError: several runs, a run whose training failed before its end, no cost of that name,
     content that cannot be understood, or a threshold for a file with a row per episode, which has
     streaks instead of the cost of each step.
@@ -85,7 +91,8 @@ def read(
         raise ValueError(f"{path}: one run is needed, but there are {len(runs)}")
     if runs[0].failure:  # thirds of the recorded steps are not thirds of the training
         raise ValueError(f"{path}: {runs[0].failure}")
-    return runs[0].records
+    whole = runs[0].episodes if episodes else None
+    return runs[0].records if whole is None else whole
 
 
 def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:

@@ -148,5 +148,5 @@ def weighted(costs: ArrayLike, streak: ArrayLike, weight: float) -> NDArray[np.f
     steps that cost 1 each then costs `n + weight n (n - 1) / 2`: with weight 1, one streak of 8
     steps costs 36, and eight streaks of 1 step cost 8.
     """
-    factor = 1.0 + weight * np.maximum(np.asarray(streak) - 1, 0)
+    factor = 1.0 + weight * np.maximum(np.asarray(streak, dtype=np.int64) - 1, 0)
     return np.asarray(costs, dtype=np.float64) * factor

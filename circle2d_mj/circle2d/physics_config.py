@@ -98,13 +98,13 @@ class PhysicsConfig:
         for name in (*DRAWN, "timestep", "ball_radius", "force_limit"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, self._checked(name, value))
+        object.__setattr__(self, "randomize", self._ranges())
         self._refuse_without_effect()
         if (self.cost == "force") != (self.force_limit is not None):
             given = f"got cost={self.cost!r}, force_limit={self.force_limit!r}"
             raise ValueError(f"force_limit must be given with cost='force', and only then, {given}")
         if self.cost == "force" and self.contact == "none":
             raise ValueError("cost 'force' needs a region that pushes: contact 'rigid' or 'soft'")
-        object.__setattr__(self, "randomize", self._ranges())
         if self.xml is not None:
             if not isinstance(self.xml, (str, os.PathLike)):
                 raise TypeError(f"xml must be the path of a file, got {self.xml!r}")
@@ -120,6 +120,8 @@ class PhysicsConfig:
     def _refuse_without_effect(self) -> None:
         """Raise ValueError for a given parameter that has no effect."""
         by_force, contact = self.actuation == "force", f"contact={self.contact!r}"
+        if by_force and "max_speed" in self.randomize:
+            raise ValueError("randomize: with actuation='force' draw max_force, not max_speed")
         useless = {
             "gain": by_force and "actuation='force'",
             "max_speed": by_force

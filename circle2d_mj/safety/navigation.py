@@ -79,9 +79,9 @@ class NavigationTask(MuJoCoTask):
         scene = scenes.scene(name, agent, tuple(changes.items()))
         self._of_world = agent, self.family, scene
         self.world = worlds.world(*self._of_world)
-        self.given = checked_places(self.world, places or {})
+        self.given = checked_places(self.world, {} if places is None else places)
         self._areas = starting_areas(self.world, self.given)
-        arguments = {"agent": agent, "level": level, "places": places, **changes}
+        arguments = {"agent": agent, "level": level, "places": self.given, **changes}
         arguments["vision_size"] = self.vision_size = checked_size(vision_size)
         super().__init__(self.world.model, num_envs, num_threads, SUBSTEPS, **arguments)
         self.agent = self.world.agent
@@ -383,6 +383,8 @@ def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tu
     Raises ValueError for unknown kinds, for more places than objects, for anything but pairs of
     finite numbers, and for two places that are closer than their objects may be.
     """
+    if not isinstance(places, Mapping):
+        raise TypeError(f"places must be pairs (x, y) by kind, got {places!r}")
     fixed = {"circle", "goal"} if "buttons" in world.kinds else {"circle"}
     placed = [kind for kind in world.rows if kind not in fixed]
     found: dict[str, list[tuple[float, float]]] = {}
@@ -390,7 +392,11 @@ def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tu
     for kind, given in places.items():
         if kind not in placed:
             raise ValueError(f"places may hold {', '.join(placed)}, got {kind!r}")
-        rows, at = world.rows[kind], np.atleast_2d(np.asarray(given, dtype=np.float64))
+        rows = world.rows[kind]
+        try:
+            at = np.atleast_2d(np.asarray(given, dtype=np.float64))
+        except (TypeError, ValueError):  # ragged, or no numbers
+            at = np.empty((0, 0))
         if at.ndim != 2 or at.shape[1] != 2 or not np.isfinite(at).all():
             raise ValueError(f"places[{kind!r}] must be pairs (x, y), m, got {given!r}")
         if len(at) > rows.stop - rows.start:

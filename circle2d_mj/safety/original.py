@@ -49,6 +49,11 @@ def load(env: gym.Env, state: Mapping[str, ArrayLike]) -> None:
     and ValueError if a name is missing or an array has a wrong shape.
     """
     task = _simulation(env)
+    _load(task, state)
+    env.unwrapped._envs._follow()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _load(task: Any, state: Mapping[str, ArrayLike]) -> None:
     given = _Given(state)
     qpos, qvel = given.array("qpos", task.model.nq), given.array("qvel", task.model.nv)
     if isinstance(task, VelocityTask):

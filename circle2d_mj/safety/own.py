@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import gymnasium as gym
+
 from circle2d_mj import registration
+from circle2d_mj.core.simulation import positive_integer
 from circle2d_mj.safety import scenes
 from circle2d_mj.safety.families import ButtonTask, GoalTask, PushTask
 from circle2d_mj.safety.navigation import NavigationTask
@@ -67,6 +70,7 @@ def register(
         raise ValueError(
             f"family must be one of {', '.join(FAMILIES)} or a subclass of one, got {family!r}"
         )
+    costs, lidars = tuple(costs), None if lidars is None else tuple(lidars)
     _check("agent", [agent], AGENTS)
     _check("objects", objects, OBJECTS)
     counts = {**_OF_FAMILY[task.family], **objects}
@@ -80,7 +84,12 @@ def register(
     changes = (*objects.items(), ("half_width", half_width))
     scene = scenes.scene(Scene(placed, half_width, seen, tuple(costs)), agent, changes)
     arguments = {"agent": agent, "level": scene}
-    own = SafetyTask("", max_episode_steps, task, arguments)
+    own = SafetyTask("", positive_integer("max_episode_steps", max_episode_steps), task, arguments)
+    for name in (f"circle2d_mj/{id}", id):  # a second call replaces the first, as in Gymnasium
+        if name in gym.registry and isinstance(gym.registry[name].kwargs.get("task"), SafetyTask):
+            del gym.registry[name]
+    if f"circle2d_mj/{id}" in gym.registry:
+        raise ValueError(f"id {id!r} is a task of the suite: choose another")
     registration.add_safety(id, own, own)
 
 
@@ -92,3 +101,5 @@ def _check(name: str, given: object, allowed: object) -> None:
     for one in given:  # pyright: ignore[reportGeneralTypeIssues]
         if one not in known:
             raise ValueError(f"{name} may hold {', '.join(known)}, got {one!r}")
+    if len({*given}) < len(given):  # pyright: ignore
+        raise ValueError(f"{name} must be different, got {given!r}")

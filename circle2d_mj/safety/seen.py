@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from circle2d_mj.core.engine import mujoco
 from circle2d_mj.core.simulation import of_one
 from circle2d_mj.safety import parts, rules, worlds
+from circle2d_mj.safety.scenes import WALL_COLOUR
 
 HOW = (
     "the task is compiled once, from its parameters: numbers of objects, half_width, layout_seed "
@@ -177,7 +178,8 @@ class TaskView(Part):
                 },
             ),
         )
-        half = world.scene.half_width
+        half, floor = world.scene.half_width, model.geom("floor").size.tolist()
+        clip = None if task.family == "Run" else rules.REWARD_CLIP
         self.__dict__.update(
             agent_name=name,
             agent=agent,
@@ -199,7 +201,7 @@ class TaskView(Part):
                 alias=True,
             ),
             compass_conf=Part("task.compass_conf", shape=2),
-            reward_conf=Part("task.reward_conf", reward_clip=rules.REWARD_CLIP),
+            reward_conf=Part("task.reward_conf", reward_clip=clip),
             cost_conf=Part("task.cost_conf", constrain_indicator=True),
             mechanism_conf=Part(
                 "task.mechanism_conf",
@@ -208,7 +210,7 @@ class TaskView(Part):
                 terminate_resample_failure=True,
             ),
             sim_conf=Part("task.sim_conf", frameskip_binom_n=10, frameskip_binom_p=1.0),
-            floor_conf=Part("task.floor_conf", type="mat", size=(3.5, 3.5, 0.1)),
+            floor_conf=Part("task.floor_conf", type="mat", size=tuple(floor)),
             obs_info=Part("task.obs_info", obs_space_dict=task.parts),
             placements_conf=Part(
                 "task.placements_conf",
@@ -219,7 +221,17 @@ class TaskView(Part):
             **{kind: self._objects(kind) for kind in world.kinds},
         )
         if world.scene.walls:
-            walls = {"num": 2 * len(world.scene.walls), "locate_factor": world.scene.walls[0]}
+            bound = world.scene.walls[0]
+            walls = {
+                "num": 2 * len(world.scene.walls),
+                "locate_factor": bound,
+                "size": floor[0],
+                "keepout": 0.0,
+                "locations": [(bound, 0), (-bound, 0), (0, bound), (0, -bound)],
+                "color": np.array(WALL_COLOUR),
+                "is_lidar_observed": False,
+                "is_constrained": True,
+            }
             self.__dict__["sigwalls"] = Part("task.sigwalls", name="sigwalls", **walls)
 
     @property

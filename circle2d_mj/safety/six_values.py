@@ -24,7 +24,8 @@ class SixValueEnv(gym.Wrapper[Observation, Action, Observation, Action]):
         """Return observation, reward, cost, terminated, truncated, info."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         _require_cost(info)
-        return observation, float(reward), info["cost"], terminated, truncated, info
+        cost = _number(info["cost"], self.env)
+        return observation, float(reward), cost, terminated, truncated, info
 
 
 class SixValueVectorEnv(VectorWrapper):
@@ -103,7 +104,13 @@ def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any
             f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
             "the type of the first, which may have rounded others; return every cost as a float"
         )
-    return costs
+    return costs.reshape(needed.shape)
+
+
+def _number(cost: Any, env: Any) -> np.float64:
+    if not isinstance(cost, (Real, np.number, np.bool_)):
+        raise TypeError(f"the cost from {env!r} must be a number, got {cost!r}")
+    return np.float64(cost)
 
 
 def _require_cost(info: dict[str, Any]) -> None:
@@ -163,9 +170,7 @@ class FromSafetyGymnasium(gym.Env):
         """Take a step; the cost is in the info."""
         values = _values(self.env, "step", self.env.step(action), 6)
         observation, reward, cost, terminated, truncated, info = values
-        if not isinstance(cost, (Real, np.number, np.bool_)):
-            raise TypeError(f"the cost from {self.env!r} must be a number, got {cost!r}")
-        info = {**info, "cost": np.float64(cost)}
+        info = {**info, "cost": _number(cost, self.env)}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def render(self) -> Any:

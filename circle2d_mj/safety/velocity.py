@@ -151,6 +151,8 @@ class VelocityTask(MuJoCoTask):
         self, body: str, num_envs: int = 1, num_threads: int = 1, version: int = 1
     ) -> None:
         self.body = BODIES[body]
+        if version not in (0, 1):
+            raise ValueError(f"version must be 0 or 1, got {version!r}")
         if version == 0:
             self.body = self.body._replace(max_speed=OLD_SPEEDS[body])
         self._sideways = self.body.hidden == 2  # the info has y

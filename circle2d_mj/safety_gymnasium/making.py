@@ -69,6 +69,9 @@ def make(
     if apply_api_compatibility:
         raise ValueError("apply_api_compatibility is for gym before 0.26, which is not supported")
     own = known_id(id)
+    if isinstance(id, EnvSpec):
+        parameters = {**id.kwargs, **parameters}
+        max_episode_steps = id.max_episode_steps if max_episode_steps is None else max_episode_steps
     if not is_own(own):
         made = _registered(own, max_episode_steps, parameters)
     else:
@@ -93,7 +96,7 @@ def _registered(id: str, max_episode_steps: int | None, parameters: dict[str, An
     env = creator(**{**found.kwargs, **parameters})
     env.unwrapped.spec = found
     limit = max_episode_steps or found.max_episode_steps
-    return SafeTimeLimit(env, limit) if limit else env
+    return SafeTimeLimit(env, limit) if limit and limit > 0 else env
 
 
 def make_gymnasium_environment(env_id: str, *args: Any, **arguments: Any) -> Any:

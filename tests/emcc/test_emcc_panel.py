@@ -125,6 +125,16 @@ def test_time_to_feasible(seed):
     assert (always.steps_to_feasible, always.feasible_share) == (0, 1.0)
 
 
+@pytest.mark.parametrize("limit", [0.1, 0.7, 12.3, 25.3])
+def test_limits_that_means_miss_by_rounding(limit):
+    """Costs equal to the limit satisfy it; without costs, severity is -1, in a table too."""
+    equal = panel(records_of([[limit]] * 100), limit)
+    assert (equal.steps_to_feasible, equal.feasible_share) == (0, 1.0)
+    for count in range(1, 60):
+        none = panel(records_of([[0.0]] * count), limit, moving_window=1)
+        assert none.severity == -1.0 and "-1" in none.to_markdown()
+
+
 def test_distribution_of_mcc_and_rollouts_of_several_trajectories():
     """MCC is a measure of rollouts, the violation rate of episodes."""
     episodes = [[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 1]]

@@ -1,6 +1,8 @@
 """EpisodeRecords: checks, MCC of rollouts and windows, files, and merging."""
 
+import copy
 import itertools
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -32,8 +34,10 @@ def test_arrays_are_copies_and_read_only():
     kept = records(length=length)
     length[0] = 99
     assert kept.length.tolist() == [10, 40, 20]
-    with pytest.raises(ValueError, match="read-only"):
-        kept.length[0] = 1
+    for again in (kept, copy.deepcopy(kept), pickle.loads(pickle.dumps(kept))):
+        assert bits(again) == bits(kept)
+        with pytest.raises(ValueError, match="read-only"):
+            again.length[0] = 1
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

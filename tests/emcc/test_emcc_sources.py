@@ -73,6 +73,8 @@ def test_rollouts_end_where_they_say_and_episodes_at_done(tmp_path):
     rows = ["0,1,3", "0,1,3", "1,1,3", "1,0,4"]
     (run,) = read_runs(write(path, "rollout,cost,episode", [r.split(",") for r in rows]))
     assert (run.records.length.tolist(), run.episodes.cost.tolist()) == ([2, 1, 1], [3.0, 0.0])
+    assert emcc.read(path).cost.tolist() == [2.0, 1.0, 0.0]
+    assert emcc.read(path, episodes=True).cost.tolist() == [3.0, 0.0]
 
 
 OTHER_COLUMNS = {

@@ -247,6 +247,8 @@ WRONG = [
     ({"randomize": {"mas": (1, 2)}}, "randomize: .*'mas': did you mean 'mass'"),
     ({"randomize": {"mass": (2, 1)}}, "randomize: mass"),
     ({"randomize": ["mass"]}, "randomize"),
+    ({"randomize": 5}, "randomize"),
+    ({"actuation": "force", "randomize": {"max_speed": (5, 9)}}, "draw max_force, not max_speed"),
     ({"level": 0, "max_speed": 30}, r"may reach 30 m/s .* at most 14\.1421"),
     ({"level": 0, "contact": "rigid", "ball_radius": 3.0}, "corridor_height_factor"),
     ({**SOFT, "stiffness": 1e9}, r"stiffness must be at most 2\.5e\+07 with mass 1"),

@@ -33,7 +33,18 @@ def registered():
 
     yield register
     for name in names:
-        del gym.registry[name]
+        gym.registry.pop(name, None)
+
+
+def test_a_second_registration_replaces_the_first(registered):
+    for count in (4, 7):
+        id = registered("OwnGoal-v0", "Goal", {"hazards": count}, costs=iter(["hazards"]))
+        env = gym.make(id)
+        assert env.unwrapped.task.hazards.num == count
+        env.reset(seed=0)
+        assert "cost_hazards" in env.step(np.zeros(2))[4]
+    with pytest.raises(ValueError, match="'SafetyPointGoal1-v0' is a task of the suite"):
+        own.register("SafetyPointGoal1-v0", "Goal", {"hazards": 3}, costs=["hazards"])
 
 
 def test_goal1_made_of_its_parts_moves_as_the_suites(registered):
@@ -94,6 +105,8 @@ def test_an_own_task_in_a_vector_environment_and_with_six_values(registered):
         ({"agent": "Fox"}, "agent may hold Point, Car, Doggo, Racecar, Ant, got 'Fox'"),
         ({"objects": {"hazards": -1}}, "hazards must be a whole number from 0"),
         ({"half_width": 0.1}, "half_width must be above"),
+        ({"lidars": ["goal", "goal"]}, "lidars must be different"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be at least 1, got 0"),
     ],
 )
 def test_bad_parts_of_own_tasks_are_named(change, message):
@@ -133,11 +146,21 @@ def test_given_places_are_kept_and_the_rest_is_drawn():
     for bad, message in (
         ({"pillars": [(0, 0)]}, "places may hold agent, goal, hazards, vases, got 'pillars'"),
         ({"goal": [(0, 0), (1, 1)]}, r"places\['goal'\] may hold at most 1, got 2"),
-        ({"goal": "here"}, "could not convert|must be pairs"),
+        ({"goal": "here"}, "must be pairs"),
+        ({"hazards": [(0, 0), (1,)]}, "must be pairs"),
         ({"hazards": [(0, 0), (0.1, 0)]}, "0.1 m apart; the minimum is 0.36"),
     ):
         with pytest.raises(ValueError, match=message):
             gym.make("circle2d_mj/SafetyPointGoal1-v0", places=bad)
+
+
+def test_a_copy_keeps_its_places_whatever_becomes_of_the_given_ones():
+    places = {"hazards": [[1.0, 1.0]]}
+    env = gym.make("circle2d_mj/SafetyPointGoal1-v0", places=places)
+    places["hazards"][0] = [-1.0, -1.0]
+    again = copy.deepcopy(env)
+    again.reset(seed=0)
+    equal(again.unwrapped.task.hazards.pos[0][:2], (1, 1))
 
 
 READ = """
@@ -174,6 +197,19 @@ def test_expressions_of_published_code_can_be_read():
     assert len(expressions()) > 90
     for expression in expressions():
         eval(expression, {"task": env.unwrapped.task})
+
+
+def test_circle_and_run_are_read_as_in_the_original():
+    """Floors are as large as drawn; rewards of Run are not clipped; the bounds of Circle2."""
+    env = safety_gymnasium.make("SafetyPointCircle2-v0")
+    env.reset(seed=0)
+    walls = env.unwrapped.task.sigwalls
+    assert walls.locations == [(1.125, 0), (-1.125, 0), (0, 1.125), (0, -1.125)]
+    assert (walls.size, walls.keepout, walls.is_lidar_observed) == (3.5, 0.0, False)
+    run = safety_gymnasium.make("SafetyPointRun0-v0")
+    run.reset(seed=0)
+    assert run.unwrapped.task.floor_conf.size == (17.5, 17.5, 0.1)
+    assert run.unwrapped.task.reward_conf.reward_clip is None
 
 
 def test_what_is_read_is_what_is_observed():

@@ -232,3 +232,12 @@ def test_bad_states_are_named():
         original.load(env, state)
     with pytest.raises(TypeError, match="env must be one of this package's Safety tasks"):
         original.load(gym.make("CartPole-v1"), state)
+
+
+@pytest.mark.parametrize("name", ["SafetyPointGoal1", "SafetyHopperVelocity"])
+def test_what_was_read_before_a_state_is_loaded_shows_it_afterwards(name):
+    env = made(name)
+    step, data = steps(NAMES[name])[0], env.unwrapped.data
+    original.load(env, step.state())
+    np.testing.assert_array_equal(data.qpos, simulation(env).qpos[0])
+    env.step(np.zeros(env.action_space.shape))

@@ -144,6 +144,15 @@ def test_a_vector_environment_as_omnisafe_uses_it():
     assert envs.single_action_space == single[0].action_space
 
 
+def test_a_spec_keeps_its_parameters_and_its_time_limit():
+    made = safety_gymnasium.make("SafetyPointGoal1-v0", hazards=3, max_episode_steps=7)
+    for id, limit in ((made.spec, 7), ("SafetyPointGoal1-v0", 1000)):
+        again = safety_gymnasium.make(id)
+        assert again.spec.max_episode_steps == limit
+        assert again.unwrapped.task.hazards.num == {7: 3, 1000: 8}[limit]
+    assert safety_gymnasium.make(made.spec, hazards=2).unwrapped.task.hazards.num == 2
+
+
 @pytest.mark.parametrize("wrappers", [None, []], ids=["native", "one by one"])
 def test_without_a_time_limit_it_is_the_tasks_own(wrappers):
     for limit, expected in ((None, 500), (3, 3)):
