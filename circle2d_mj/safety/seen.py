@@ -164,7 +164,7 @@ class TaskView(Part):
             keepout=float(world.areas.keepout[0]),
             z_height=task.agent.height,
             rot=None,
-            placements=None,
+            placements=[world.scene.start] if world.scene.start else None,
             locations=task.given.get("agent", []),
             action_space=task.action_space,
             body_info=Part("body_info", **size, nbody=1 + len(bodies), geom_names=geoms),
@@ -216,7 +216,7 @@ class TaskView(Part):
                 "task.placements_conf",
                 extents=(-half, -half, half, half),
                 margin=0.0,
-                placements=self._placements(),
+                placements=self._placements(agent.placements),
             ),
             **{kind: self._objects(kind) for kind in world.kinds},
         )
@@ -310,11 +310,11 @@ class TaskView(Part):
         )
         return ["agent", *(name for of_kind in each for name in of_kind)]
 
-    def _placements(self) -> dict[str, tuple[Any, float]]:
+    def _placements(self, agent: Any) -> dict[str, tuple[Any, float]]:
         """Return the rectangles in which each may be placed (None: the square), with keepout."""
         areas = self._simulation.world.areas
         pairs = zip(self._names(), areas.keepout.tolist(), strict=True)
-        return {name: (None, keepout) for name, keepout in pairs}
+        return {name: (agent if name == "agent" else None, keepout) for name, keepout in pairs}
 
     def _by_name(self) -> dict[str, NDArray[np.float64]]:
         """Return the observation's numbers by name."""

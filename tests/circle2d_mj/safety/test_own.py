@@ -205,6 +205,8 @@ def test_circle_and_run_are_read_as_in_the_original():
     env.reset(seed=0)
     walls = env.unwrapped.task.sigwalls
     assert walls.locations == [(1.125, 0), (-1.125, 0), (0, 1.125), (0, -1.125)]
+    areas, _ = env.unwrapped.task.placements_conf.placements["agent"]
+    assert areas == [(-0.8, -0.8, 0.8, 0.8)] == env.unwrapped.task.agent.placements
     assert (walls.size, walls.keepout, walls.is_lidar_observed) == (3.5, 0.0, False)
     run = safety_gymnasium.make("SafetyPointRun0-v0")
     run.reset(seed=0)
