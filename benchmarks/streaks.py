@@ -293,9 +293,10 @@ def train(options):
 
 
 def merged(before, rows):
-    """Add rows to a table; they replace rows of the same runs."""
+    """Add rows to a table. Of a run that was trained twice the first row counts, so that nobody can
+    choose between them."""
     table = pd.concat([before, pd.DataFrame(rows)])
-    table = table.drop_duplicates(["task", "arm", "seed"], keep="last")
+    table = table.drop_duplicates(["task", "arm", "seed"], keep="first")
     return table.sort_values(["task", "arm", "seed"], ignore_index=True)
 
 

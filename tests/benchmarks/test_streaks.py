@@ -131,14 +131,13 @@ def test_incomplete_tasks_are_left_out():
     assert streaks.complete(doubled) == [of(2)[1]]
 
 
-def test_rows_are_added_and_those_of_the_same_runs_replaced():
-    """Rows of three tasks, and of two of them again with another return; sorted by task, arm and
-    seed."""
-    before, again = table(tasks=of(3)), table(tasks=of(2), lost=1.0)
+def test_rows_are_added_and_the_first_of_a_run_stays():
+    """Rows of two tasks, and of three with another return; sorted by task, arm and seed."""
+    before, again = table(tasks=of(2)), table(tasks=of(3), lost=1.0)
     found = streaks.merged(before, again.to_dict("records"))
-    assert len(found) == len(before) and streaks.complete(found) == list(of(3))
+    assert len(found) == len(again) and streaks.complete(found) == list(of(3))
     key = ["task", "arm", "seed"]
-    expected = pd.concat([again, before[before["task"] == of(3)[2]]]).sort_values(key)
+    expected = pd.concat([before, again[again["task"] == of(3)[2]]]).sort_values(key)
     pd.testing.assert_frame_equal(found, expected.reset_index(drop=True)[found.columns])
     assert streaks.merged(pd.DataFrame(), again.to_dict("records")).equals(
         again.sort_values(key, ignore_index=True)
