@@ -27,6 +27,8 @@ from agents.paper.evidence import paper_results
 from agents.paper.grid import LIBRARY, PAPER_ALGORITHMS
 from agents.presets import LENGTHS
 from agents.reporting.table import markdown_rows
+from agents.training.config import CONFIG, finished
+from agents.training.files import write_whole
 from circle2d_mj.registration import KINEMATIC
 
 RESULTS = Path(__file__).parents[1] / "results" / "identification"
@@ -162,11 +164,13 @@ def deviations(runs, spread, floors=FLOORS):
 
     It is at most `MOST`, which is also the value of a cell without a run. The spread is the
     standard deviation over seeds of the published runs, but at least the measure's floor."""
-    means = runs.groupby(["algorithm", "task"])[list(floors)].mean()
+    cells_of = runs.groupby(["algorithm", "task"])
+    means, count = cells_of[list(floors)].mean(), cells_of["seed"].nunique()
+    seeds = runs["seed"].nunique()
     found = {}
     for (name, task, measure), value in cells(floors).items():
         unit = max(spread[name, task, measure], floors[measure])
-        known = (name, task) in means.index
+        known = count.get((name, task), 0) == seeds
         gap = abs(means.loc[(name, task), measure] - value) / unit if known else math.inf
         found[name, task, measure] = min(gap, MOST) if gap == gap else MOST
     return found
@@ -196,11 +200,11 @@ def clearly_nearer(table, spread, draws=2_000):
     pair = [_arrays(table, own) for own in (home[0], away[0])]
     printed, unit = _units(spread)
     for _ in range(draws):
-        gaps = []
-        for values in pair:
-            drawn = rng.integers(values.shape[1], size=(len(values), values.shape[1]))
+        gaps, drawn = [], rng.integers(pair[0].shape[1], size=pair[0].shape[:2])
+        for values in pair:  # with the same draws, since they share runs
             means = np.take_along_axis(values, drawn[..., None], axis=1).mean(axis=1)
-            gaps.append(np.minimum(np.abs(means - printed) / unit, MOST).mean())
+            off = np.nan_to_num(np.abs(means - printed) / unit, nan=MOST)
+            gaps.append(np.minimum(off, MOST).mean())
         gains.append(gaps[0] - gaps[1])
     low, middle, high = np.quantile(gains, (0.025, 0.5, 0.975))
     judge = distances(table, spread, HELD_BACK)
@@ -210,11 +214,12 @@ def clearly_nearer(table, spread, draws=2_000):
 
 def _arrays(table, setting):
     """Return the values of a setting's runs, [algorithms and tasks, seeds, measures]."""
-    own = table[table["setting"] == setting.name]
-    pairs = [(a, t) for a in PAPER_ALGORITHMS for t in TASKS]
-    parts = [own[(own["algorithm"] == a) & (own["task"] == t)] for a, t in pairs]
-    fewest = min(map(len, parts))
-    return np.stack([part[list(FLOORS)].to_numpy()[:fewest] for part in parts])
+    own = _of(table, setting)
+    seeds = sorted(own["seed"].unique())
+    index = pd.MultiIndex.from_product([PAPER_ALGORITHMS, TASKS, seeds])
+    runs = own.set_index(["algorithm", "task", "seed"])[list(FLOORS)].reindex(index)
+    values = runs.to_numpy().reshape(-1, len(seeds), len(FLOORS))
+    return np.where(np.isnan(values).any(axis=1, keepdims=True), np.nan, values)
 
 
 def _units(spread):
@@ -255,7 +260,9 @@ def page(screened, full, spread):
         parts += [_markdown(["setting", "distance", "distance of EMCC"], rows)]
         nearer = clearly_nearer(full, spread)
         words = "No other geometry is clearly nearer: Circle2D-L-v0 stays alone."
-        if nearer:
+        if lacking := set(in_full(distances(screened, spread))) - near.keys():
+            words = f"Undecided: {len(lacking)} settings are not run in full yet."
+        elif nearer:
             low, _, high = nearer[1]
             words = f"{nearer[0].name} is clearly nearer, by [{low:.2f}, {high:.2f}]: it becomes v1"
         parts += [f"\n{words}\n"]
@@ -321,6 +328,8 @@ def train(setting, length, out, table):
         try:
             agents.grid(name, lacking, out=folder, task_parameters=setting.geometry, **settings)
         except RunsFailed as error:
+            if any(not finished(path.parent) for path in folder.rglob(CONFIG)):
+                raise  # a process ended, not a run: given again, the command continues it
             print(error, flush=True)
     own = rows_of(folder, setting) if folder.exists() else []
     return pd.concat([*there.values(), pd.DataFrame(own)])
@@ -336,7 +345,8 @@ def _train_all(name, length, out, settings_of):
             return
         rows = train(lacking[0], length, out / name, table)
         table = pd.concat([table, rows])
-        table.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.5g")
+        text = table.to_csv(index=False, float_format="%.5g")
+        write_whole(RESULTS / f"{name}.csv", text.encode())
         print(f"{lacking[0].name}: {distance_of(rows, of):.3f}", flush=True)
 
 

@@ -68,12 +68,12 @@ FAMILIES = {"plain": tuple(CONTROL), "streak": ("plain 25", *STREAKS)}
 VOLUMES = {"EMCC and return": ("EMCC", "return"), "EMCC and cost rate": ("EMCC", "rate")}
 
 
-def rows_of(folder, **about):
+def rows_of(folder, steps=None, **about):
     """Return a row for each complete run below a folder: measures of the last third of training,
-    EMCC of the other thirds, and J_R and J_C of the trained policy."""
+    EMCC of the other thirds, and J_R and J_C of the trained policy. steps: only runs of so many."""
     rows = []
     for group in agents.load_runs(folder).results:
-        if group.cost != "cost":
+        if group.cost != "cost" or steps not in (None, group.config.steps):
             continue
         for run in group.runs:
             parts = run.records.windows(WINDOW).by_part(run.total_steps)
@@ -306,8 +306,11 @@ def table(options):
     for out in options.out:
         for arm in ARMS:
             if (folder := out / "arms" / arm).exists():
-                rows += rows_of(folder, arm=arm)
-                agents.report(folder, archive=out / f"{arm}.zip", out=out / "pages" / arm)
+                try:
+                    rows += rows_of(folder, STEPS, arm=arm)
+                    agents.report(folder, archive=out / f"{arm}.zip", out=out / "pages" / arm)
+                except UserError as error:  # no run is complete yet
+                    print(f"{arm}: {error}")
     before = pd.read_csv(path) if path.exists() else pd.DataFrame()
     merged(before, rows).to_csv(path, index=False, float_format="%.6g")
 

@@ -40,7 +40,7 @@ def train(out, algorithm, task, side, checkout):
             command += ["--evaluation-episodes", "5" if task == GOAL else "100"]
             command += LEARNS if (algorithm, task) == ("sac-lag", GOAL) else []
         own = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(checkout).resolve())}
-        command = [sys.executable, "-m", "agents.cli", *command]
+        command = [sys.executable, "-P", "-m", "agents.cli", *command]
         subprocess.run(command, env=own, check=True, stdout=sys.stderr)
     return folder
 
