@@ -162,7 +162,7 @@ def cells(floors=FLOORS):
 def deviations(runs, spread, floors=FLOORS):
     """Return for each cell the deviation, in spreads, of a setting's mean over runs from the paper.
 
-    It is at most `MOST`, which is also the value of a cell without a run. The spread is the
+    It is at most `MOST`, which is also the value of a cell that lacks a seed. The spread is the
     standard deviation over seeds of the published runs, but at least the measure's floor."""
     cells_of = runs.groupby(["algorithm", "task"])
     means, count = cells_of[list(floors)].mean(), cells_of["seed"].nunique()

@@ -138,10 +138,10 @@ def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) ->
 def _emcc_by_part(run: Run, options: argparse.Namespace) -> list[float | None]:
     """EMCC of each third of training; None if no rollout or window starts in the third."""
     windows = options.window, options.window_steps
-    whole = run.episodes if windows != (None, None) and run.episodes is not None else run.records
+    records = run.records if windows == (None, None) else run.whole
     with named(run.source):
         choices = options.alpha, options.ties, *windows
-        return [*emcc_of_thirds(whole, run.total_steps, *choices).values()]
+        return [*emcc_of_thirds(records, run.total_steps, *choices).values()]
 
 
 def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:

@@ -70,10 +70,12 @@ def as_steps(
     values: such an array of all steps, or an array [T] for each trajectory; with the latter,
     lengths may be None.
     """
-    if not isinstance(values, (list, tuple)):  # np.ndim fails on ragged lists
+    if isinstance(values, (list, tuple)):  # may be ragged, on which np.ndim fails
+        joined = not values or np.ndim(values[0]) == 0
+    else:
         values = as_array(values, name)
-    listed = isinstance(values, (list, tuple)) and len(values)
-    if (1 + np.ndim(values[0]) if listed else np.ndim(values)) < 2 or not len(values):
+        joined = values.ndim < 2 or not len(values)
+    if joined:
         if lengths is None:
             rule = "must hold one array for each trajectory, or come with lengths"
             raise ValueError(f"{name} {rule}, got {reprlib.repr(values)}")

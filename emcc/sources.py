@@ -59,6 +59,11 @@ class Run:
     """Why the training failed before its end; empty if it did not."""
 
     @property
+    def whole(self) -> EpisodeRecords:
+        """Records of whole episodes, whether or not rollouts cut them."""
+        return self.records if self.episodes is None else self.episodes
+
+    @property
     def incomplete(self) -> str:
         """Why the run is left out of means; empty for a complete run."""
         return self.failure or ("" if len(self.records) else "no finished trajectory")
@@ -91,8 +96,7 @@ def read(
         raise ValueError(f"{path}: one run is needed, but there are {len(runs)}")
     if runs[0].failure:  # thirds of the recorded steps are not thirds of the training
         raise ValueError(f"{path}: {runs[0].failure}")
-    whole = runs[0].episodes if episodes else None
-    return runs[0].records if whole is None else whole
+    return runs[0].whole if episodes else runs[0].records
 
 
 def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:

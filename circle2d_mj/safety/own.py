@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import gymnasium as gym
 
@@ -70,19 +70,18 @@ def register(
         raise ValueError(
             f"family must be one of {', '.join(FAMILIES)} or a subclass of one, got {family!r}"
         )
-    costs, lidars = tuple(costs), None if lidars is None else tuple(lidars)
     _check("agent", [agent], AGENTS)
     _check("objects", objects, OBJECTS)
     counts = {**_OF_FAMILY[task.family], **objects}
     moving = [kind for kind in counts if kind == "push_box" or KINDS[kind].physics in _MOVES]
     if len(moving) > 1:
         raise ValueError(f"objects may hold one kind that moves, got {' and '.join(moving)}")
+    costs, lidars = tuple(costs), tuple(counts if lidars is None else lidars)
     _check("costs", costs, [cost for cost, kind in COSTS.items() if kind in counts])
-    _check("lidars", lidars or (), counts)
+    _check("lidars", lidars, counts)
     placed = tuple(Placed(kind, number, KEEPOUTS[kind]) for kind, number in counts.items())
-    seen = tuple(counts if lidars is None else lidars)
     changes = (*objects.items(), ("half_width", half_width))
-    scene = scenes.scene(Scene(placed, half_width, seen, tuple(costs)), agent, changes)
+    scene = scenes.scene(Scene(placed, half_width, lidars, costs), agent, changes)
     arguments = {"agent": agent, "level": scene}
     own = SafetyTask("", positive_integer("max_episode_steps", max_episode_steps), task, arguments)
     for name in (f"circle2d_mj/{id}", id):  # a second call replaces the first, as in Gymnasium
@@ -96,10 +95,9 @@ def register(
 _MOVES = ("free", "driven")
 
 
-def _check(name: str, given: object, allowed: object) -> None:
-    known = list(allowed)  # pyright: ignore[reportArgumentType]
-    for one in given:  # pyright: ignore[reportGeneralTypeIssues]
-        if one not in known:
-            raise ValueError(f"{name} may hold {', '.join(known)}, got {one!r}")
-    if len({*given}) < len(given):  # pyright: ignore
+def _check(name: str, given: Collection[str], allowed: Collection[str]) -> None:
+    for one in given:
+        if one not in allowed:
+            raise ValueError(f"{name} may hold {', '.join(allowed)}, got {one!r}")
+    if len({*given}) < len(given):
         raise ValueError(f"{name} must be different, got {given!r}")

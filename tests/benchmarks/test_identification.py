@@ -56,10 +56,8 @@ def test_the_distance_by_hand():
     own = runs()
     lacking = own[(own["algorithm"] != "cpo") | (own["task"] != "Circle2D-3-v0")]
     assert search.distance_of(lacking, WIDE) == pytest.approx(4 * 5 / 80)
-    first = own.index.difference(lacking.index)[
-        0
-    ]  # one seed of that cell: the others do not decide
-    assert search.distance_of(own.drop(first), WIDE) == pytest.approx(4 * 5 / 80)
+    one_seed = own.index.difference(lacking.index)[0]
+    assert search.distance_of(own.drop(one_seed), WIDE) == pytest.approx(4 * 5 / 80)
     narrow = dict.fromkeys(WIDE, 0.0)
     assert search.distance_of(runs(off=3.0), narrow) == pytest.approx(1.25)
     assert search.distance_of(runs(off=3.0), WIDE, search.HELD_BACK) == 0
