@@ -242,8 +242,9 @@ def page(screened, full, spread):
         each = [np.mean([v for (a, *_), v in own.items() if a == n]) for n in PAPER_ALGORITHMS]
         rows.append([setting.name, near[setting], *each])
     parts += [_markdown(columns, rows), "\n## What each choice moves\n"]
-    rows = [[k, *cell] for k in FACTORS for cell in _moved(near, k)]
-    parts += [_markdown(["choice", "value", "settings", "mean", "nearest"], rows)]
+    rows = [[k, *cell] for k in FACTORS for cell in moved(near, k)]
+    parts += ["Distance less that of the same setting with today's value.\n"]
+    parts += [_markdown(["choice", "value", "pairs", "mean", "least", "greatest"], rows)]
     parts += ["\n## Numbers that no screened setting comes within two spreads of\n"]
     every = [deviations(_of(screened, setting), spread) for setting in order]
     printed = cells()
@@ -273,13 +274,16 @@ def _of(table, setting):
     return table[table["setting"] == setting.name]
 
 
-def _moved(near, factor):
-    """Yield for each value of a factor: the value, the number of settings, their mean distance, and
-    the least distance."""
-    values = dict.fromkeys(sorted(getattr(own, factor) for own in near))
-    for value in values if len(values) > 1 else ():
-        own = [d for s, d in near.items() if getattr(s, factor) == value]
-        yield [str(value), len(own), float(np.mean(own)), min(own)]
+def moved(near, factor):
+    """Yield for each value of a factor but today's: the value, the number of pairs of settings that
+    differ in this value alone, and the mean, least and greatest of their distances less those with
+    today's value."""
+    usual = getattr(Setting(), factor)
+    for value in sorted({getattr(own, factor) for own in near} - {usual}):
+        own = [setting for setting in near if getattr(setting, factor) == value]
+        pairs = [(setting, dataclasses.replace(setting, **{factor: usual})) for setting in own]
+        if gaps := [near[one] - near[other] for one, other in pairs if other in near]:
+            yield [str(value), len(gaps), float(np.mean(gaps)), min(gaps), max(gaps)]
 
 
 def _markdown(columns, rows):

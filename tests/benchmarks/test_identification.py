@@ -164,10 +164,19 @@ def test_the_page_ranks_settings_and_names_cells_that_none_explains():
     screened = pd.concat([runs(off=3.0), runs(Setting(depth=0.6), off=10.0)])
     text = squeezed(search.page(screened, runs(Setting(depth=0.6)), WIDE))
     assert text.index("| today's | 0.38 |") < text.index("| depth 0.6 | 1.25 |")
-    assert "| depth | 0.5 | 1 | 0.38 | 0.38 |" in text and "| step |" not in text
+    assert "| depth | 0.6 | 1 | 0.88 | 0.88 | 0.88 |" in text and "| step |" not in text
     assert "| depth 0.6 | 0.00 | 0.00 |" in text
     far = squeezed(search.page(runs(off=30.0), pd.DataFrame(), WIDE))
     assert "| TRPO-Lag | Circle2D-2-v0 | J_R | -4.23 | 5.00 |" in far
+
+
+def test_what_a_choice_moves_is_told_by_pairs_that_differ_in_it_alone():
+    """Depth .6 has two pairs, at either step: 3 - 4 and 1 - 5. (.55, .1) has none."""
+    near = {Setting(): 4.0, Setting(0.6): 3.0, Setting(0.55, 0.1): 0.5}
+    near |= {Setting(step=0.115): 5.0, Setting(0.6, 0.115): 1.0}
+    assert list(search.moved(near, "depth")) == [["0.6", 2, -2.5, -4.0, -1.0]]
+    assert list(search.moved(near, "step")) == [["0.115", 2, -0.5, -2.0, 1.0]]
+    assert list(search.moved(near, "optimizer")) == []
 
 
 def test_the_published_runs_give_a_spread_for_every_cell():
