@@ -12,7 +12,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(abspath $(VENV)/bin)
 # Python compiles what it imports, once, where it may keep it: without, each process here compiles
 # torch again, which takes longer than most tests. Compiling all that is installed takes longer still.
 unexport PYTHONDONTWRITEBYTECODE
@@ -91,7 +91,7 @@ results: $(VENV)/trains
 	-$(REPORT) results/circle2d/runs.zip results/circle2d/bootstrap.zip --out results/circle2d
 	-$(REPORT) results/baselines/runs.zip results/baselines/sac-pid-cal.zip $(BESIDE) \
 		--out results/baselines
-	-cd examples && ../$(REPORT) ../results/library/*.zip --import library_cpo \
+	-cd examples && $(REPORT) ../results/library/*.zip --import library_cpo \
 		--import library_sac_lag --out ../results/library
 	-$(REPORT) $(ON_SAFETY:%=results/baselines/safety/%.zip) --out results/baselines/safety
 	for folder in physics safety sensitivity solve solve/safety; do \
