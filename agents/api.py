@@ -184,8 +184,9 @@ def sweep(
         same time; by default one per core. settings: other arguments of `train`, including
         hyper-parameters, but not on_epoch or progress.
 
-    Raises UserError for an unknown or invalid argument, before anything is written, and if a
-    training failed, after the others are done.
+    Warns about each run that failed, if others did not. Raises UserError for an unknown or invalid
+    argument, before anything is written, and, after all others are done, if every run failed or a
+    training ended early.
     """
     combinations, folder = combinations_of(grid), _to_write(out)
     for name in ("on_epoch", "progress"):
@@ -226,8 +227,9 @@ def grid(
     apply to every algorithm. workers: number of processes, or tasks of Ray, at the same time; by
     default one per core.
 
-    Raises UserError for an unknown or invalid argument, before anything is written, and if a
-    training failed, after the others are done.
+    Warns about each run that failed, if others did not. Raises UserError for an unknown or invalid
+    argument, before anything is written, and, after all others are done, if every run failed or a
+    training ended early.
     """
     by_folder = grid_configs(algorithms, tasks, _to_write(out), preset, backend, settings)
     runs = Runs(_launch(by_folder, engine, workers, address, split=True))
@@ -269,8 +271,8 @@ def resume(
 
     Folders train one after the other; a finished folder without `results.npz` gets the file, and
     one with it stays unchanged. steps: a new, greater number of environment steps for each run:
-    finished trainings continue too, bit for bit as if they had had that number, and that backend,
-    from the start. on_epoch, progress: as in `train`. Raises UserError if a folder holds no runs,
+    finished trainings continue too, bit for bit as if they had had that number from the start.
+    on_epoch, progress: as in `train`. Raises UserError if a folder holds no runs,
     another process trains there, every run failed, or runs already have more steps.
     """
     if not folders:
@@ -285,7 +287,7 @@ def resume(
     for path in paths:
         if steps is not None:
             trainer.lengthen(path, steps)
-    runs = Runs(paths)
+    runs = Runs(paths, of=folders)
     for path, config in zip(paths, runs.configs, strict=True):
         if _train(path, config, on_epoch, progress).stopped:
             break
@@ -525,7 +527,7 @@ def _launch(
     """Train all unfinished folders to the end. Returns the folders of the runs.
 
     split: whether trainings may be split over several folders. Raises UserError if a folder holds
-    other runs, and if the training of a folder failed, after the others are done.
+    other runs, and, after all others are done, if every run failed or a training ended early.
     """
     from agents.training import grid as grids
     from agents.training.launcher import launcher
@@ -540,9 +542,17 @@ def _launch(
                 trainings.submit(folder)
         trainings.wait(every=0.5)
         failed = trainings.failed
+    # `_warn_of_failures` tells of single runs, as long as others are complete.
+    if any(map(_has_complete_runs, configs, configs.values())):
+        failed = {folder: why for folder, why in failed.items() if not finished(folder)}
     if failed:
         raise RunsFailed("; ".join(f"{folder} failed: {why}" for folder, why in failed.items()))
     return list(configs)
+
+
+def _has_complete_runs(folder: Path, config: TrainConfig) -> bool:
+    """Whether a training is finished, and not all of its runs failed."""
+    return finished(folder) and len(list(failed_runs(folder, config))) < len(config.runs)
 
 
 def modules_of(configs: Collection[TrainConfig]) -> list[str]:

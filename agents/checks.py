@@ -109,7 +109,7 @@ def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
             if not problems:
                 return ""
             rule = f", each {TOO_LARGE}" if TOO_LARGE in problems else rule
-        return f"a tuple of {each}{rule}"
+        return f"a tuple of one or more {each}{rule}"
     return ""
 
 

@@ -182,6 +182,9 @@ def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName =
                 hint = f"it belongs to {', '.join(having)}"
             raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
     own = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+    # One number for a tuple: `circle2d grid --hidden 64`, as in `circle2d train`.
+    tuples = [k for k in own if isinstance(getattr(type(config), k), tuple)]
+    own |= {k: (own[k],) for k in tuples if isinstance(own[k], (int, float))}
     return replace(config, **own) if own else config
 
 

@@ -31,12 +31,15 @@ class Runs:
         folders: Sequence[Path],
         temporary: bool = False,
         configs: Sequence[TrainConfig] | None = None,
+        of: Sequence[Any] = (),
     ) -> None:
         """temporary: remove the folders with this object. configs: those of the folders, if the
-        caller has them."""
+        caller has them. of: other Runs of the folders, whose temporary ones stay as long as this
+        object."""
         if isinstance(folders, (str, os.PathLike)):
             raise UserError(f"Runs takes a list of folders, got {folders!r}: see load_runs")
         self.folders = tuple(map(Path, folders))
+        self._of = of
         read = configs or [TrainConfig.read(opened(f), strict=False) for f in self.folders]
         self.configs = tuple(read)
         """The configuration of each folder."""
@@ -190,4 +193,4 @@ def load_runs(*folders: str | os.PathLike[str]) -> Runs:
             paths.setdefault(path.resolve(), path)
     if not paths:
         raise UserError("load_runs needs a folder of runs")
-    return Runs([*paths.values()])
+    return Runs([*paths.values()], of=folders)

@@ -31,10 +31,10 @@ RESERVED = (
     *("algorithm", "task", "seeds", "steps", "out", "task_parameters", "costs", "preset"),
     *("checkpoint_every", "evaluate_every", "vectorization", "step_timeout", "backend"),
     *("tensorboard", "on_epoch", "progress", "engine", "address", "grid", "workers"),
-    *("evaluation_episodes", "imports"),
+    *("evaluation_episodes", "imports", "algorithms", "tasks", "shard", "width"),
 )
-"""Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`: names that no
-hyper-parameter may have."""
+"""Parameters of `agents.train`, `agents.sweep` and `agents.grid` and options of their commands:
+names that no hyper-parameter may have."""
 
 
 class Learner(Protocol):
@@ -73,7 +73,8 @@ class Learner(Protocol):
         ...
 
     def state_dict(self) -> dict[str, NDArray]:
-        """Return the whole training state as named arrays; their first axis is that of runs."""
+        """Return the whole training state as named arrays; their first axis is that of runs. No
+        name may be epoch, steps, failures or tracebacks."""
         ...
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
@@ -151,7 +152,7 @@ def register(name: str, algorithm: Algorithm) -> None:
     if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
         raise UserError(f"an algorithm's name is lower-case words joined by '-', got {name!r}")
     module = sys._getframe(1).f_globals.get("__name__", "__main__")
-    if name in ALGORITHMS and _algorithms.modules.get(name) != module:
+    if name == "zoo" or (name in ALGORITHMS and _algorithms.modules.get(name) != module):
         raise UserError(f"algorithm {name!r} is registered already: choose another name")
     if not isinstance(algorithm, Algorithm):
         raise TypeError(f"register expects an agents.algorithms.Algorithm, got {algorithm!r}")

@@ -15,6 +15,7 @@ from torch import Tensor
 from agents.algorithms import Algorithm, trpo_lag
 from agents.algorithms.crpo import advantage  # for the reward, or in recovery against the cost
 from agents.checks import In
+from agents.errors import UserError
 from agents.lockstep.lagrange import PROJECTED, Multiplier
 from agents.trust_region import (
     Problem,
@@ -36,6 +37,12 @@ class CTRPOConfig(TRPOConfig):
     hysteresis: Annotated[float, In(0, 1)] = 0.8
     """Share of the limit below which the cost must fall before recovery ends. Milosevic et al.:
     0.8."""
+
+    def __post_init__(self) -> None:
+        """Check the values. Raises UserError naming one that is not allowed."""
+        super().__post_init__()
+        if self.cost_limit == 0:
+            raise UserError("cost_limit must be above 0 with C-TRPO: at a limit of 0 it recovers")
 
 
 def recovers(config: CTRPOConfig, before: Tensor, cost: Tensor) -> Tensor:

@@ -23,6 +23,9 @@ from agents.on_policy.state import EpisodeCostLimit, Gaussian
 class P3OConfig(EpisodeCostLimit, PPOConfig):
     """Hyper-parameters of P3O."""
 
+    discount: Annotated[float, In(0, 0.999999)] = 0.99
+    """Discount factor γ of rewards and costs, below 1: the penalty weighs J_C - d by 1 - γ. 0.99 as
+    in OmniSafe."""
     penalty_factor: Annotated[float, In(0, 1e6)] = 20.0
     """Factor κ of the penalty. 20 as in OmniSafe."""
     kl_stop: Annotated[float, In(0, 1e12)] = 0.02

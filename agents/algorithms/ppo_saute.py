@@ -86,7 +86,7 @@ class SauteConfig(EpisodeCostLimit):
 
     def relabelled(self, rollout: Rollout) -> Rollout:
         """Return the rollout with `unsafe_reward` for steps that leave no budget, `z ≤ 0`."""
-        spent = rollout.next_observation[..., -1] <= 0
+        spent = rollout.next_observation[..., -1] <= 1e-6  # 0 but for rounding
         return rollout._replace(reward=np.where(spent, self.unsafe_reward, rollout.reward))
 
 
@@ -95,4 +95,5 @@ class PPOSauteConfig(SauteConfig, PPOConfig):
     """Hyper-parameters of PPO-Sauté."""
 
 
-ALGORITHM = Algorithm("PPO-Sauté", PPOSauteConfig, Objective(advantage), FirstOrder)
+RULE = Objective(advantage, costs=0)  # what costs change is in the state and the reward
+ALGORITHM = Algorithm("PPO-Sauté", PPOSauteConfig, RULE, FirstOrder, work=2.4)

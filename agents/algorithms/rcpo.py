@@ -12,6 +12,7 @@ from typing import Annotated
 import torch
 
 from agents.algorithms import Algorithm, trpo_lag
+from agents.checks import In
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier
 from agents.trust_region import Problem, Step, StepRule, TrustRegion
 
@@ -22,6 +23,10 @@ class RCPOConfig(trpo_lag.TRPOLagConfig):
 
     multiplier_lr: Annotated[float, Gain] = 0.035
     """Step size of the multiplier with adam or sgd. 0.035 as in OmniSafe."""
+    line_search_steps: Annotated[int, In(1, 10_000)] = 15
+    """Without effect: RCPO has no line search."""
+    line_search_decay: Annotated[float, In(above=0, high=1)] = 0.8
+    """Without effect: RCPO has no line search."""
 
 
 def step(config: RCPOConfig, problem: Problem) -> Step:

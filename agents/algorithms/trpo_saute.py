@@ -19,4 +19,5 @@ class TRPOSauteConfig(SauteConfig, TRPOConfig):
     """Hyper-parameters of TRPO-Sauté."""
 
 
-ALGORITHM = Algorithm("TRPO-Sauté", TRPOSauteConfig, StepRule(advantage, step), TrustRegion)
+RULE = StepRule(advantage, step, costs=0)  # what costs change is in the state and the reward
+ALGORITHM = Algorithm("TRPO-Sauté", TRPOSauteConfig, RULE, TrustRegion, work=1.0)

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import MISSING, fields, is_dataclass
 from itertools import dropwhile, islice, takewhile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -73,8 +73,10 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
     Raises UserError, with a one-line message, for unknown, missing and invalid options.
     """
     import_modules(args)
-    if [arg.partition("=")[0] for arg in args].count("--task") > 1:  # only the last would count
-        raise UserError("--task is given twice: name all tasks after the first, as in --task A B")
+    names = [arg.partition("=")[0].replace("_", "-") for arg in args]
+    for name in _with_several_values(options):
+        if names.count(name) > 1:  # only the last would count
+            raise UserError(f"{name} is given twice: give all its values at once, as in {name} A B")
     message = io.StringIO()
     try:
         with contextlib.redirect_stderr(message), _REGISTRY:
@@ -86,6 +88,18 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
             raise
         meant = [f"{arg} is {MEANT[arg]} here" for arg in args if arg in MEANT]
         raise UserError("; ".join([_in_a_line(words), *meant])) from None
+
+
+def _with_several_values(options: Any) -> list[str]:
+    """Return the names of those options of a dataclass that take several values."""
+    found: list[str] = []
+    for field in fields(options):
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        if is_dataclass(default):
+            found += _with_several_values(default)
+        elif isinstance(default, (tuple, dict)):
+            found.append("--" + field.name.replace("_", "-"))
+    return found
 
 
 def values_of(option: str, args: Sequence[str], most: int | None = None) -> list[str]:
@@ -215,6 +229,6 @@ def literals(given: Mapping[Any, str]) -> dict[Any, Any]:
     """Evaluate task parameters as Python literals (3.0, True, (1, 0.5)); keep any other text."""
     values: dict[Any, Any] = dict(given)
     for name, text in given.items():
-        with contextlib.suppress(ValueError, SyntaxError):
+        with contextlib.suppress(ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
             values[name] = ast.literal_eval(text)
     return values

@@ -54,13 +54,13 @@ def _mean(values: NDArray[np.float64]) -> str:
 
 
 @dataclass(frozen=True)
-class EvaluateOptions:
+class EvaluateOptions(Settings):
     """Play episodes with the policies of a folder's newest checkpoint and print their means. If the
     training is done, they replace the evaluation that reports show."""
 
     folder: Folder
     """Folder of the runs, or pretrained:ALGORITHM/TASK, a policy that comes with the package."""
-    episodes: int | None = None
+    episodes: Annotated[int, In(1, 1_000_000)] | None = None
     """Episodes of each run and policy (deterministic, stochastic); by default as many as the
     training's own evaluation has."""
     imports: Imports = ()

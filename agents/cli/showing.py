@@ -126,15 +126,15 @@ class ZooOptions(Settings):
 
 def zoo(args: Sequence[str]) -> int:
     """Run `circle2d zoo`; return the exit status."""
-    from agents.presets import recipe
+    from agents.presets import recipe, registered_id
     from agents.zoo import zoo as rows_of
 
     options = parse(ZooOptions, "zoo", args)
     rows = rows_of()
     if options.task is not None:
-        task = task_id(options.task)
+        task = registered_id(task_id(options.task)).rpartition("/")[2]
         recipe(task)  # raises UserError if there is none
-        rows = rows.query("task == @task.rpartition('/')[2]")
+        rows = rows.query("task == @task")
     numbers = {"J_R": 2, "J_C": 2, "EMCC_0.33": 2, "EMCC_0.99": 2}
     numbers |= {"published_J_R": 2, "published_J_C": 2}
     shown = [

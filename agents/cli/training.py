@@ -71,7 +71,7 @@ class TrainOptions:
     evaluation_episodes: int = TrainConfig.evaluation_episodes
     """Episodes of each run and policy (deterministic, stochastic) in the evaluation at the end."""
     task_parameters: dict[str, str] = field(default_factory=dict)
-    """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
+    """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation "(1.0, 0.5)"."""
     costs: tuple[str, ...] = TrainConfig.costs
     """Names of costs in the tasks' info: all are recorded; an algorithm limits the first one, or as
     many as it supports."""
@@ -112,13 +112,16 @@ def train(args: Sequence[str]) -> int:
     hyperparameters = preset(own, tasks[0], named)
     for task in tasks[1:]:
         if preset(own, task, named) != hyperparameters:
-            raise UserError(f"{tasks[0]} and {task} have different presets: train them separately")
+            raise UserError(
+                f"{tasks[0]} and {task} have different presets: train them separately, or with "
+                "--preset none"
+            )
     try:
         options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
     except UserError:
         for option in (arg.removeprefix("--").replace("-", "_") for arg in args[1:]):
             if not hasattr(hyperparameters, option) and with_hyperparameter(option):
-                preset_with(name, tasks[0], {option: None}, named)  # its error names who has it
+                preset_with(own, tasks[0], {option: None}, named)  # its error names who has it
         raise
     out = options.out.absolute()  # a task may change the current folder
     check_folder(out)
@@ -235,7 +238,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class GridOptions(Spread, TrainOptions):
+class GridOptions(Spread, TrainOptions, Settings):
     """Train several algorithms on several tasks, each with its preset, on all cores, and report.
 
     Options of algorithms, such as --cost-limit 10, apply to all of them; 'circle2d train ALGORITHM

@@ -89,7 +89,7 @@ def long_frame(
     """Return a row for each episode, epoch's update, or evaluated episode of every run so far.
 
     Each setting in which the trainings differ has a column. Raises UserError for the updates of an
-    archive, which keeps none.
+    archive if the algorithm has no multiplier.
     """
     import pandas as pd
 

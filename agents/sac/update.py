@@ -106,8 +106,8 @@ class SACConfig(InputConfig):
     about `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. Not in the
     paper; 0: none."""
     novelty_length: Annotated[float, In(1e-6, 1e6)] = 2.0
-    """Distance within which states count as the same place for the bonus, in the units of the
-    networks' inputs: observations times `input_scale`. Not in the paper."""
+    """Distance within which states count as the same place for the bonus, in the units of
+    observations times `input_scale`, before any normalisation. Not in the paper."""
 
     def __post_init__(self) -> None:
         """Check the values. Raises UserError naming one that is not allowed."""

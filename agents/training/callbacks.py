@@ -46,7 +46,8 @@ class Epoch:
     epoch's episodes of "return", "length" and each cost by its name, such as "cost" (all
     undiscounted); "mcc": the greatest share of an episode in one streak of the first cost; and, if
     the run learned, the mean of each number that the algorithm's updates record, such as
-    "critic_loss". With several tasks the key is (task, seed).
+    "critic_loss". With several tasks the key is (task, seed). `runs` is empty
+    if all failed.
     """
 
     folder: Path

@@ -1,8 +1,8 @@
-"""The configuration of a training: written once into its folder, and read from there later.
+"""The configuration of a training: written into its folder, and read from there later.
 
 The folder of a training:
 
-    config.json                 its configuration, never changed
+    config.json                 its configuration, which only `resume` with more steps changes
     checkpoints/000050000.npz   the whole training state; the two newest stay
     steps/000050000.npz         the episodes since the previous checkpoint, run by run
     policies/RUN/000050000.npz  policies kept by `evaluate_every`

@@ -61,7 +61,7 @@ def make_envs(
     Errors in a reset or step are TaskFailures.
     """
     envs = unscaled(task, num_envs, parameters, vectorization, costs)
-    return ScaledActions(Guard(envs, task, step_timeout, alone))
+    return ScaledActions(Guard(envs, task, costs, step_timeout, alone))
 
 
 def unscaled(
@@ -92,6 +92,12 @@ def unscaled(
         if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
             raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
+    does = envs.metadata.get("autoreset_mode", AutoresetMode.DISABLED)
+    if does not in (AutoresetMode.DISABLED, AutoresetMode.DISABLED.value):
+        raise UserError(
+            f"the vector environment of task {task!r} must not reset itself if it is made with "
+            f"autoreset_mode DISABLED; its metadata has {does}"
+        )
     checked_spaces(task, envs.single_observation_space, envs.single_action_space)
     return envs
 

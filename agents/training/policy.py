@@ -310,6 +310,7 @@ def chosen_run(
     known = {task: bare(task) for task in config.tasks}
     meant = task and bare(task)
     tasks = [k for k, name in known.items() if meant in (None, name, name.rpartition("-v")[0])]
+    tasks = [task] if task in config.tasks else tasks
     if not tasks:
         raise UserError(f"{folder} has no run on task {task!r}: its tasks are {config.tasks}")
     if len(tasks) > 1:
@@ -416,7 +417,7 @@ def evaluate(
     deterministic: bool = True,
     seed: int = 0,
     task_parameters: dict[str, Any] | None = None,
-    cost: str = "cost",
+    cost: str | None = None,
 ) -> Evaluation:
     """Play whole episodes with a policy, or with the policies of a folder of runs. Writes nothing.
 
@@ -426,7 +427,8 @@ def evaluate(
     task, with its `task_parameters`.
     deterministic: whether policies and folders act without noise; otherwise actions are drawn.
     seed: that of start states and draws, the same for all runs of a folder.
-    cost: its name in the infos.
+    cost: its name in the infos; by default the first cost of the policy's training, "cost" for a
+    function.
 
     Runs of a folder that failed are left out with a warning. Raises UserError if the task does not
     fit the policy, or every run failed; TaskFailure if rewards or costs are not finite, or costs
@@ -463,7 +465,11 @@ def evaluate(
         made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
     except OWN_ERRORS as error:  # of the task's own code
         raise OwnCodeError(f"cannot make task {name!r}: {described(error)}") from error
-    with contextlib.closing(CheckedEnv(made, (cost,))) as env:
+    trained = own._config if own else None
+    cost = (trained.costs[0] if trained else "cost") if cost is None else cost
+    added = trained and set(trained.costs) - set(trained.task_costs)  # by `own.wrap`
+    needed = () if added and cost in added else (cost,)
+    with contextlib.closing(CheckedEnv(made, needed)) as env:
         act: Callable[[NDArray], Any] = policy
         seen: gym.Env = own.wrap(env) if own else env
         if own:

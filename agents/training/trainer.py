@@ -162,6 +162,11 @@ class Trainer:
         self.steps = np.zeros(count, dtype=np.int64)
         """Environment steps that each run has taken, [R]."""
         self.learner: Learner = self._learner(config.stream_seeds)
+        if taken := sorted(set(COUNTERS) & self.learner.state_dict().keys()):
+            raise UserError(
+                f"the state_dict of algorithm {config.algorithm!r} has {', '.join(taken)}, which "
+                "checkpoints need for the training itself: choose another name"
+            )
         self.recorder = Recorder(
             config.runs, self.learner.episodes, self.learner.metrics, config.costs
         )
@@ -289,7 +294,7 @@ class Trainer:
         if self._alone is None:
             return metrics
         own = self._alone.learn(rollout.of(slice(self._alone.episodes)), epoch, learning[:1])
-        if not np.isnan(own).all():  # it has learned
+        if not own.size or not np.isnan(own).all():  # it has learned
             together = self.learner.state_dict()
             for name, array in self._alone.state_dict().items():
                 beside = together[name][:1]

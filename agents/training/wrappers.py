@@ -140,15 +140,22 @@ class FailsAlone(gym.Wrapper):
 
 class Guard(VectorWrapper):
     """Raises TaskFailures that name the task: for environments that raise errors, return arrays of
-    a wrong shape, end, or do not answer."""
+    a wrong shape, end, or do not answer. A cost that an environment does not give is NaN."""
 
     def __init__(
-        self, env: VectorEnv, task: str, step_timeout: float | None = None, alone: bool = False
+        self,
+        env: VectorEnv,
+        task: str,
+        costs: Sequence[str] = ("cost",),
+        step_timeout: float | None = None,
+        alone: bool = False,
     ) -> None:
-        """step_timeout: seconds that a step or reset of environments in separate processes may
-        take; None: any number. alone: leave the failures of single environments in the info."""
+        """costs: their names in the infos. step_timeout: seconds that a step or reset of
+        environments in separate processes may take; None: any number. alone: leave the failures of
+        single environments in the info."""
         super().__init__(env)
         self._task, self._timeout, self._steps, self._alone = task, step_timeout, 0, alone
+        self._costs = costs
         self._shape, self._each = env.observation_space.shape, (env.num_envs,)
 
     def __repr__(self) -> str:
@@ -182,10 +189,14 @@ class Guard(VectorWrapper):
                 results = self.env.step(actions)
             observations, rewards, terminated, truncated, info = results
             columns = {"rewards": rewards, "terminated": terminated, "truncated": truncated}
-            columns |= {"info['cost']": info["cost"]} if "cost" in info else {}
+            costs = {name: info[name] for name in self._costs if name in info}
+            columns |= {f"info[{name!r}]": cost for name, cost in costs.items()}
             shapes = {name: (values, self._each) for name, values in columns.items()}
             _check_shapes(shapes | {"observations": (observations, self._shape)})
             ends = (_flags("terminated", terminated), _flags("truncated", truncated))
+        for name, cost in costs.items():
+            if not (gave := np.asarray(info.get(f"_{name}", True), dtype=bool)).all():
+                info = info | {name: np.where(gave, cost, np.nan)}  # gymnasium fills in zeros
         return observations, rewards, *ends, self._named(info)
 
     def _named(self, info: dict[str, Any]) -> dict[str, Any]:

@@ -195,6 +195,9 @@ def test_a_temporary_folder_lives_as_long_as_the_runs():
     folder = runs.folder
     assert runs.config.seeds == (5,)
     assert (folder / "results.npz").exists()
+    runs = agents.load_runs(agents.resume(runs, steps=100))
+    gc.collect()
+    assert runs.records[folder, 5].total_steps == 100
     del runs
     gc.collect()
     assert not folder.exists()

@@ -123,6 +123,18 @@ def test_a_sweep_names_the_error_and_the_line_of_a_training_that_failed(importab
         agents.sweep("cpo", "my_toys:Broken-v0", backend="numpy", **more)
 
 
+def test_a_grid_warns_of_runs_that_failed_beside_others(importable):
+    """As `train` does: the others count. With these seeds two runs of three meet a NaN."""
+    (importable / "my_toys.py").write_text("import toys\n\ntoys.register()\n")
+    more = {"steps": 200, "episodes": 1, "seeds": range(3), "backend": "numpy"}
+    more |= {"task_parameters": {"poison": 0.0005}, "out": importable / "x"}
+    for _ in range(2):  # trained, and there
+        with pytest.warns(agents.errors.FailedRunWarning, match=r"seed [01]: .* not finite"):
+            runs = agents.grid("cpo", "my_toys:Walk-v0", **more)
+        with pytest.warns(UserWarning, match="left out"):
+            assert [run.seed for group in runs.results for run in group.runs] == [2]
+
+
 def test_a_sweep_goes_on_with_a_tuple_in_its_task_parameters(importable):
     (importable / "my_toys.py").write_text("import toys\n\ntoys.register()\n")
     more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}

@@ -66,15 +66,16 @@ def test_the_algorithm_of_the_docs_is_sac_and_sac_lag_at_two_prices(sac_fixed):
     assert np.abs(actor - plain.learner.state_dict()["actor"]).max() > 1e-3
 
 
-def test_names_of_parameters_of_train_and_sweep_are_reserved():
-    functions = [inspect.signature(f).parameters.values() for f in (agents.train, agents.sweep)]
+def test_names_of_parameters_of_train_sweep_and_grid_are_reserved():
+    every = agents.train, agents.sweep, agents.grid
+    functions = [inspect.signature(f).parameters.values() for f in every]
     names = {one.name for own in functions for one in own if one.kind is not one.VAR_KEYWORD}
     assert names <= set(RESERVED)
 
 
 def test_what_register_refuses(sac_fixed):
     own = algorithm("sac-fixed")
-    for name in ("sac", "sac-fixed", "", "My-Own", "my own", "my--own", "../own", 3):
+    for name in ("sac", "sac-fixed", "", "My-Own", "my own", "my--own", "../own", 3, "zoo"):
         with pytest.raises(UserError, match=repr(name)):
             register(name, own)
     loose = make_dataclass("Config", [("a", int, 1)])

@@ -490,6 +490,29 @@ def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, optio
         agents.train(algorithm, "Walk-v0", **OPTIONS | options | {"seeds": 0})
 
 
+def test_a_learner_without_metrics_that_reduces_over_the_runs_is_refused():
+    class Untold(Linear):
+        metrics = ()
+
+        def learn(self, rollout, epoch, active):
+            return super().learn(rollout, epoch, active)[:, :0]
+
+    with known("untold", Algorithm("Toy", Numbers, Rule(), Untold)):
+        with pytest.raises(UserError, match="'untold' trains a run differently beside"):
+            agents.train("untold", "Walk-v0", **OPTIONS | {"wrong": "reduce"})
+        agents.train("untold", "Walk-v0", **OPTIONS)
+
+
+def test_a_state_that_hides_the_trainings_own_is_refused():
+    class Counting(Linear):
+        def state_dict(self):
+            return super().state_dict() | {"steps": np.zeros(len(self.seeds), np.int64)}
+
+    words = pytest.raises(UserError, match="state_dict of algorithm 'counting' has steps")
+    with known("counting", Algorithm("Toy", Numbers, Rule(), Counting)), words:
+        agents.train("counting", "Walk-v0", **OPTIONS)
+
+
 def test_user_defined_algorithms_that_do_not_reduce_over_the_runs_train(tmp_path):
     """An advantage may take a mean over the multipliers, since it sees one run at a time."""
 

@@ -217,7 +217,9 @@ def test_evaluations_of_each_cost(runs):
                 np.testing.assert_array_equal(evaluation["cost_returns"], own)
                 assert evaluation["J_C"] == own.mean()
     policy = agents.load_policy(runs, seed=1)
+    first = agents.evaluate(policy, episodes=3).costs  # by default the first cost of the training
     both = [agents.evaluate(policy, episodes=3, cost=cost).costs for cost in ("cost", "cost_2")]
+    np.testing.assert_array_equal(first, both[("cost", "cost_2").index(runs.config.costs[0])])
     assert not np.array_equal(*both)
     assert set(np.unique(both[1] % 0.25)) == {0.0}
 

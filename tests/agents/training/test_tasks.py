@@ -1,5 +1,6 @@
 """Users' tasks: bounds of actions, forms of numbers, spaces, and vector environments."""
 
+import contextlib
 from dataclasses import replace
 from fractions import Fraction
 from types import SimpleNamespace
@@ -263,6 +264,32 @@ def test_a_vector_environment_may_return_the_same_arrays_in_every_step():
         assert set(runs.to_pandas("evaluations")["return"]) == {15}
         positions = steps_of(runs.folder, "InPlace-v0/0", "positions")
         np.testing.assert_array_equal(positions[:, 0], [1, 2, 3, 4, 5] * 2)
+
+
+class Silent(InPlace):
+    """From the third step on, environment 1 gives no cost; Gymnasium fills in 0."""
+
+    def step(self, actions):
+        *values, info = super().step(actions)
+        gave = (self.seen[:, 0] < 3) | (np.arange(self.num_envs) != 1)
+        return *values, info | {"cost": np.where(gave, self.cost, 0.0), "_cost": gave}
+
+
+class SelfResetting(InPlace):
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+
+def test_a_vector_environment_must_give_each_cost_and_not_reset_itself():
+    for name, vector in (("Silent-v0", Silent), ("Resetting-v0", SelfResetting)):
+        gym.register(name, vector_entry_point=vector)
+    try:
+        with contextlib.closing(make_envs("Silent-v0", 2, {})) as envs:
+            played = collect(envs, [0, 1], lambda seen: np.zeros((2, 1), np.float32))
+        assert played.failure.tolist() == ["", "cost"]
+        with pytest.raises(UserError, match="'Resetting-v0' must not reset itself"):
+            make_envs("Resetting-v0", 2, {})
+    finally:
+        gym.registry.pop("Silent-v0"), gym.registry.pop("Resetting-v0")
 
 
 class Forgetful(InPlace):
