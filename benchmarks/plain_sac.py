@@ -215,14 +215,3 @@ def epochs(seed, algorithm="sac-lag", task="Circle2D-1-v0", random_steps=5_000, 
             yield step, [episode_return], [episode_cost]
             episode_return = episode_cost = 0.0
             observation, _ = env.reset()
-
-
-def train(seed, steps, task="Circle2D-1-v0", random_steps=5_000, algorithm="sac-lag"):
-    """Train for `steps` environment steps; return the returns and cost returns of the episodes."""
-    returns, costs = [], []
-    for step, some_returns, some_costs in epochs(seed, algorithm, task, random_steps):
-        returns += some_returns
-        costs += some_costs
-        if step >= steps:
-            break
-    return returns, costs

@@ -234,14 +234,3 @@ def episode(env, actor):
         rewards.append(reward)
         costs.append(info["cost"])
     return np.array(observations), np.array(actions), np.array(rewards), np.array(costs)
-
-
-def train(seed, steps, task="Circle2D-1-v0", algorithm="trpo-lag"):
-    """Train for `steps` environment steps; return the returns and cost returns of the episodes."""
-    returns, costs = [], []
-    for step, some_returns, some_costs in epochs(seed, algorithm, task):
-        returns += some_returns
-        costs += some_costs
-        if step >= steps:
-            break
-    return returns, costs
