@@ -6,7 +6,7 @@ import contextlib
 import io
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from textwrap import fill
 from typing import Any, Literal, NamedTuple
 
@@ -44,6 +44,8 @@ page of very many runs would have many megabytes."""
 DOT: dict[str, Any] = {"linestyle": "", "alpha": 0.55, "markeredgewidth": 0}
 BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
 """Look of a legend below a figure."""
+ASPECT = 0.78
+"""Height of a panel of learning curves, as a share of its width."""
 POINTS = 50
 """Number of points of a curve along training."""
 WINDOW = 0.1
@@ -173,12 +175,6 @@ def running_emcc(group: Group) -> Curve:
     return _over_runs(rows, group.one_place, SHARE)
 
 
-def thirds_emcc(group: Group) -> Curve:
-    """Return EMCC of the thirds of training over the runs of a group, [3]."""
-    rows = [[run.measures[f"EMCC_{part}"] for part in PARTS] for run in group.runs]
-    return _over_runs(rows, group.one_place, SHARE)
-
-
 def _over_runs(rows: Sequence[Any], one_place: bool, bounds: Bounds) -> Curve:
     """Return the curve of the mean over runs; rows: each run's values, NaN or None if missing."""
     points = np.full((3, len(rows[0])), np.nan)
@@ -196,39 +192,91 @@ def task_figures(groups: Sequence[Group]) -> list[Figure]:
 
 
 def curves(named: Sequence[tuple[str, Group]]) -> Figure:
-    """Draw training curves of named groups on one task: return, cost return, running EMCC, EMCC of
-    the thirds and, where it varies, the length of episodes. Equal input gives equal bytes."""
+    """Draw training curves of named groups on one task: return, cost return, running EMCC and,
+    where it varies, the length of episodes. Equal input gives equal bytes."""
     groups = [group for _, group in named]
     limit, task = common_limit(groups), groups[0].task
-    columns, height = legend([name for name, _ in named])
-    looks = styles([group.config for group in groups])
     lengths = {n for group in groups for run in group.runs for n in np.unique(run.records.length)}
-    rows = 3 if len(lengths) > 1 else 2
-    with drawing() as pyplot:
-        size = (9, 3 * rows + height)
-        figure, axes = pyplot.subplots(rows, 2, figsize=size, layout="constrained")
-        (returns, costs), (running, thirds) = axes[:2]
-        figure.suptitle(task)
-        for k, ((name, group), style) in enumerate(zip(named, looks, strict=True)):
-            at = midpoints(group.total_steps)
-            draw_curve(returns, name, style, at, episode_means(group, "reward"))
-            draw_curve(costs, name, style, at, episode_means(group, "cost"))
-            draw_curve(running, name, style, at, running_emcc(group))
-            _draw_thirds(thirds, style, (k - (len(named) - 1) / 2) / len(named), thirds_emcc(group))
-            if rows == 3:
-                draw_curve(axes[2, 0], name, style, at, episode_means(group, "length"))
-        if limit is not None:
-            costs.axhline(limit, label="cost limit", color="#888888", linewidth=0.9)
-        _label(axes, max(group.total_steps for group in groups))
-        figure.legend(*costs.get_legend_handles_labels(), ncols=columns, **BELOW)
-        svg = svg_of(figure)
+    measures = ["return", "cost", "emcc", *["length"] * (len(lengths) > 1)]
+    with drawing(8) as pyplot:
+        svg = svg_of(draw_along(pyplot, {task: named}, measures, width=9.0))
     words = (
-        f"Training's episodes. Lines and markers: mean over seeds; areas and bars: {INTERVALS}. "
-        f"EMCC: α = {ALPHA:g}, in a window of a tenth of training, and of the thirds."
+        f"Training's episodes. Lines: mean over seeds; areas: {INTERVALS}. EMCC: α = {ALPHA:g}, in "
+        "a window of a tenth of training."
     )
     if limit is not None:
-        words += f" Thin line: the cost limit, {limit:g}."
+        words += f" Dotted line: the cost limit, {limit:g}."
     return Figure(svg, "Training curves", words)
+
+
+class Along(NamedTuple):
+    """A measure along training, and the label of its column of panels."""
+
+    label: str
+    of: Callable[[Group], Curve]
+
+
+ALONG = {
+    "return": Along("return", lambda group: episode_means(group, "reward")),
+    "cost": Along("cost", lambda group: episode_means(group, "cost")),
+    "emcc": Along("EMCC", running_emcc),
+    "length": Along("steps of an episode", lambda group: episode_means(group, "length")),
+}
+"""Measures that can be drawn along training."""
+
+
+def draw_along(
+    pyplot: Any,
+    tasks: Mapping[str, Sequence[tuple[str, Group]]],
+    measures: Sequence[str],
+    width: float,
+    colours: Mapping[str, str] | None = None,
+) -> Any:
+    """Return a matplotlib figure with a row of panels for each task and a column for each measure.
+
+    tasks: groups with their names in the legend. measures: of `ALONG`. width: inches, for text 8
+    points high. colours: for groups that get another one than their algorithm's, by `Group.name`.
+    """
+    from matplotlib.ticker import EngFormatter
+
+    columns = [ALONG[name] for name in measures]
+    shown = {*(name for named in tasks.values() for name, _ in named), "cost limit"}
+    fitting = max(1, min(len(shown), int(14 * width) // (max(map(len, shown)) + 7)))
+    below = 0.16 * math.ceil(len(shown) / fitting)
+    height = len(tasks) * ASPECT * width / len(columns) + below + 0.4
+    figure, axes = pyplot.subplots(
+        len(tasks),
+        len(columns),
+        figsize=(width, height),
+        layout="constrained",
+        squeeze=False,
+        sharex="row",
+    )
+    handles: dict[str, Any] = {}
+    for row, (task, named) in zip(axes, tasks.items(), strict=True):
+        groups = [group for _, group in named]
+        looks = styles([group.config for group in groups])
+        limit = common_limit(groups)
+        for axis, column in zip(row, columns, strict=True):
+            for (name, group), look in zip(named, looks, strict=True):
+                own = look._replace(colour=(colours or {}).get(group.name, look.colour))
+                draw_curve(axis, name, own, midpoints(group.total_steps), column.of(group))
+                handles.setdefault(name, axis.lines[-1])
+            if column.label == "cost" and limit is not None:
+                line = axis.axhline(limit, color="#666666", linewidth=0.8, linestyle=":")
+                handles["cost limit"] = line
+            if column.label == "EMCC":
+                axis.set_ylim(0, 1)
+            axis.set_xlim(0, max(group.total_steps for group in groups))
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+            axis.spines[["top", "right"]].set_visible(False)
+        row[0].set_ylabel(task.removeprefix("circle2d_mj/"))
+    for axis, column in zip(axes[0], columns, strict=True):
+        axis.set_title(column.label, fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("environment steps")
+    figure.legend(handles.values(), handles, ncols=fitting, **BELOW)
+    return figure
 
 
 def draw_curve(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
@@ -238,39 +286,6 @@ def draw_curve(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) ->
     look = {"color": style.colour, "linestyle": style.dash}
     axis.plot(at, mean, linewidth=1.5, label=name, **look)
     axis.fill_between(at, low, high, color=style.colour, alpha=0.15, linewidth=0)
-
-
-def _draw_thirds(axis: Any, style: Style, offset: float, curve: Curve) -> None:
-    """Draw a group's EMCC of the thirds; offset: sideways, from other groups, in [-0.5, 0.5]."""
-    at = np.arange(len(curve.mean)) + 0.6 * offset
-    axis.vlines(at, curve.low, curve.high, color=style.colour, linewidth=1.5)
-    look = {"marker": style.marker, "color": style.colour}
-    axis.plot(at, curve.mean, linestyle="", markersize=5, **look)
-
-
-def _label(axes: Any, total_steps: int) -> None:
-    from matplotlib.ticker import EngFormatter
-
-    (returns, costs), (running, thirds), *more = axes
-    names = ("return of an episode", "cost of an episode", "EMCC, running", "EMCC of the thirds")
-    shown: dict[Any, str] = dict(zip((returns, costs, running, thirds), names, strict=True))
-    for lengths, unused in more:
-        shown[lengths] = "length of an episode (steps)"
-        unused.set_axis_off()
-    for axis, name in shown.items():
-        axis.set_ylabel(name)
-        axis.spines[["top", "right"]].set_visible(False)
-        if axis is not thirds:
-            axis.set_xlabel("environment steps")
-            axis.set_xlim(0, total_steps)
-            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for part in PARTS:
-        running.axvline(part * total_steps, color="grey", linestyle=":", linewidth=0.9)
-    for axis in (running, thirds):
-        axis.set_ylim(0, 1.02)
-    thirds.set_xticks(range(len(PARTS)), list(PARTS.values()))
-    thirds.set_xlabel("part of training")
-    thirds.set_xlim(-0.5, 2.5)
 
 
 def intervals_figure(groups: Sequence[Group]) -> Figure:

@@ -10,7 +10,7 @@ from by_hand import T_OF_4
 
 from agents.presets import preset
 from agents.reporting import figures
-from agents.reporting.figures import POINTS, WINDOW, midpoints, thirds_emcc
+from agents.reporting.figures import POINTS, WINDOW, midpoints
 from agents.results.groups import Group, RunResult
 from agents.results.measures import measured
 from agents.training.config import TrainConfig
@@ -97,18 +97,7 @@ def test_running_emcc_by_a_loop():
         assert (curve.low[k], curve.high[k]) == (min(values), max(values))
 
 
-def test_emcc_of_the_thirds_by_a_loop():
-    curve = thirds_emcc(THREE)
-    for k, (low, high) in enumerate(((0, 0.33), (0.33, 0.66), (0.66, 0.9901))):
-        values = []
-        for run in RUNS[:3]:
-            mcc, starts = run.mcc_per_rollout()
-            values.append(emcc(mcc[(low * TOTAL <= starts) & (starts < high * TOTAL)], ALPHA))
-        assert curve.mean[k] == pytest.approx(np.mean(values))
-        assert (curve.low[k], curve.high[k]) == (min(values), max(values))
-
-
 def test_one_run_has_a_line_and_no_area():
-    curve = thirds_emcc(group(RUNS[:1]))
+    curve = figures.running_emcc(group(RUNS[:1]))
     assert np.isfinite(curve.mean).all()
     assert np.isnan(curve.low).all()

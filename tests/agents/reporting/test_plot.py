@@ -9,6 +9,7 @@ from small_runs import write_evaluated
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
+from agents.reporting import figures
 from agents.reporting import plot as plotting
 
 
@@ -27,7 +28,7 @@ def lines_drawn(monkeypatch, *args, **options):
         axis.plot(at, curve.mean, label=name, color=style.colour)
         drawn.append((name, style.colour, at, curve.mean))
 
-    monkeypatch.setattr(plotting, "draw_curve", draw)
+    monkeypatch.setattr(figures, "draw_curve", draw)
     agents.plot(*args, **options)
     return drawn
 
