@@ -340,21 +340,20 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
 
 
 def _run(run: RunResult, replay: Highlights) -> dict[str, Any]:
-    """Return a run's entry: numbers of each episode, then all points and costs concatenated."""
+    """Return a run's entry: numbers of each episode, then all points and costs."""
     episodes, steps = replay.episodes, run.replay_steps
-    unsafe = [episode.unsafe for episode in episodes]
-    lengths, costs = [len(steps) for steps in unsafe], [episode.cost for episode in episodes]
+    lengths = episodes.length.tolist()
     return {
         "seed": run.seed,
         "steps": steps,
         "box": replay.box.ravel().tolist(),
-        "window": [episode.window for episode in episodes],
-        "start": [episode.start_step for episode in episodes],
+        "window": replay.windows,
+        "start": episodes.start_step.tolist(),
         # A single length if all episodes have it, and no costs if each cost step costs 1.
         "length": lengths[0] if len(set(lengths)) == 1 else lengths,
-        "cost": None if costs == [steps.sum() for steps in unsafe] else costs,
-        "points": _text(_packed(np.concatenate([episode.points for episode in episodes]))),
-        "unsafe": _text(np.packbits(np.concatenate(unsafe))),
+        "cost": None if (episodes.cost == episodes.cost_steps).all() else episodes.cost.tolist(),
+        "points": _text(_packed(replay.points)),
+        "unsafe": _text(np.packbits(replay.unsafe)),
         "emcc": [
             None if np.isnan(value) else round(value * DIGITS)
             for value in emcc_along(run.rollouts, steps)

@@ -18,7 +18,7 @@ from agents.results.names import title_of, titled, unusual_settings, unusual_ste
 from agents.results.recorded import Recorded
 from agents.training import derive
 from agents.training.config import CONFIG, RESULTS, TrainConfig
-from agents.training.derive import BITS, Drawn, Visits
+from agents.training.derive import Drawn, Visits
 from agents.training.files import AnyPath, Arrays, content_of, read_json
 from emcc import EpisodeRecords
 from emcc.arrays import as_array
@@ -39,32 +39,20 @@ class Episode(NamedTuple):
     """[T]"""
 
 
-class Highlight(NamedTuple):
-    """The episode with the highest MCC in a window of training."""
-
-    window: int
-    """Index of the window, one of `derive.WINDOWS` equal parts of training."""
-    start_step: int
-    """Environment steps before the episode."""
-    points: NDArray[np.uint16]
-    """Grid points where the steps in `derive.shown_states` ended, [K, 2]: see
-    `Highlights.positions`."""
-    unsafe: NDArray[np.bool_]
-    """Whether each step of the episode cost, [T]."""
-    cost: float
-    """Sum of the episode's costs."""
-
-
 class Highlights(NamedTuple):
-    """Episodes of a run's training, one per window, on a grid of 1024 x 1024 points."""
+    """The episode with the highest MCC in each window of a run's training."""
 
-    episodes: list[Highlight]
+    windows: list[int]
+    """Index of each episode's window, one of `derive.WINDOWS` equal parts of training."""
+    episodes: EpisodeRecords
+    """A row for each episode."""
+    points: NDArray[np.uint16]
+    """Where the steps in `derive.shown_states` ended, [K, 2], one episode after the other, on a
+    grid of 1024 x 1024 points."""
+    unsafe: NDArray[np.bool_]
+    """Whether each step cost, one episode after the other."""
     box: NDArray[np.float64]
     """Lowest and highest coordinates of the points, in the view's unit, [2, 2]."""
-
-    def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Return grid points in the view's unit, [K, 2]."""
-        return self.box[0] + points * ((self.box[1] - self.box[0]) / (2**BITS - 1))
 
 
 @dataclass(frozen=True)
@@ -213,14 +201,11 @@ class RunResult:
         if not own.has(prefix + "drawn"):
             return None
         windows, rows = zip(*derive.replay_rows(records, self.replay_steps), strict=True)
-        length, start = records.length[[*rows]], records.start_step[[*rows]]
-        total, ends = int(length.sum()), np.cumsum(length)[:-1]
-        shown = [len(derive.shown_states(steps)) for steps in length]
-        drawn = derive.path_of(own.get(prefix + "drawn", -1, 2, sum(shown)))
-        points = np.split(drawn, np.cumsum(shown)[:-1])
-        unsafe = np.split(own.bits(prefix + "unsafe", total), ends)
-        told = (windows, start.tolist(), points, unsafe, records.cost[[*rows]].tolist())
-        return Highlights([*map(Highlight, *told)], own.get(prefix + "box", 2, 2))
+        episodes = records.select(np.array(rows))
+        shown = sum(len(derive.shown_states(steps)) for steps in episodes.length)
+        points = derive.path_of(own.get(prefix + "drawn", -1, 2, shown))
+        unsafe = own.bits(prefix + "unsafe", int(episodes.length.sum()))
+        return Highlights([*windows], episodes, points, unsafe, own.get(prefix + "box", 2, 2))
 
     @property
     def replay_steps(self) -> int:

@@ -105,21 +105,24 @@ def test_the_replay_against_the_recorded_steps(runs):
     for run in group.runs:
         positions = steps_of(runs.folder, f"Drift-v0/{run.seed}", "positions")
         costs = steps_of(runs.folder, f"Drift-v0/{run.seed}", "costs/cost")
-        replay = run.replay()
-        box = positions.max(axis=0) - positions.min(axis=0)
-        for episode in replay.episodes:
-            records = run.records
-            windows = records.start_step * 60 // records.length.sum()  # sixtieths of training
-            rows = np.flatnonzero(windows == episode.window)
+        replay, records = run.replay(), run.records
+        windows = records.start_step * 60 // records.length.sum()  # sixtieths of training
+        told = replay.episodes
+        columns = (replay.windows, told.start_step, told.length, told.cost)
+        drawn, unsafe = [], []
+        for window, start, length, cost in zip(*columns, strict=True):
+            rows = np.flatnonzero(windows == window)
             share = (records.longest_streak / records.length)[rows]
             row = rows[int(np.argmax(share))]
-            assert episode.start_step == records.start_step[row]
-            own = slice(episode.start_step, episode.start_step + records.length[row])
-            np.testing.assert_array_equal(episode.unsafe, costs[own] > 0)
-            assert episode.cost == costs[own].sum()
-            drawn = positions[own][shown_states(records.length[row])]
-            off = np.abs(replay.positions(episode.points) - drawn)
-            assert (off <= 0.51 * box / 1023 + 1e-6).all()
+            assert (start, length) == (records.start_step[row], records.length[row])
+            own = slice(start, start + length)
+            assert cost == costs[own].sum()
+            unsafe += (costs[own] > 0).tolist()
+            drawn += positions[own][shown_states(length)].tolist()
+        assert replay.unsafe.tolist() == unsafe
+        size = positions.max(axis=0) - positions.min(axis=0)
+        off = np.abs(replay.box[0] + replay.points * (replay.box[1] - replay.box[0]) / 1023 - drawn)
+        assert (off <= 0.51 * size / 1023 + 1e-6).all()
 
 
 def test_the_replay_takes_the_worst_of_each_window():
