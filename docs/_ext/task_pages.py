@@ -8,13 +8,14 @@ import itertools
 from collections.abc import Iterable
 from pathlib import Path
 
-import circle2d_films
 import gymnasium as gym
 from gymnasium.spaces import Box
 from hyperparameters import texts
 
 from agents.presets import PAPER_STEPS
-from agents.training.policy import FOLDER
+from agents.reporting import pictures
+from agents.training.config import TrainConfig
+from agents.training.policy import FOLDER, pretrained
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
@@ -27,6 +28,8 @@ from circle2d_mj.safety.scenes import COUNTED, parameters, scene
 from circle2d_mj.safety.tasks import IDS, VELOCITY
 from circle2d_mj.safety.velocity import BODIES, VelocityTask
 
+SIZE = 300
+"""Pixels along the side of a film of Circle2D."""
 OBSERVED = tuple(
     f"{axis} of the {what}"
     for what in ("position, over the arena's half-width", "velocity, over 0.11 R a step")
@@ -70,8 +73,8 @@ ORIGINAL = "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](..
 
 
 def shown_policy(task: str) -> str:
-    """Return the name of the policy in a Safety task's film: the zoo's or else CPO's, if the
-    package has one, else ""."""
+    """Return the name of the policy in a task's film: the zoo's or else CPO's, if the package has
+    one, else ""."""
     found = (name for name in ("zoo", "cpo") if (FOLDER / name / task).is_dir())
     return "".join(f"pretrained:{name}/{task}" for name in itertools.islice(found, 1))
 
@@ -89,10 +92,14 @@ def pages() -> dict[str, str]:
 
 
 def write_films(folder: Path) -> None:
-    """Write the film of every Circle2D task next to its page."""
-    for level in LEVELS:
-        for name in (KINEMATIC[level], PHYSICS[level]):
-            circle2d_films.write(name, folder / f"{name}.gif")
+    """Write a film of the zoo's policy on every Circle2D task next to the task's page."""
+    for name in (*KINEMATIC.values(), *PHYSICS.values()):
+        policies = pretrained("zoo", name)
+        [run] = TrainConfig.read(policies).runs
+        episodes, view = pictures.evaluation_episodes(policies, run, 1, noisy=False)
+        panels = [pictures.Panel(name, view, episodes)]
+        frames = pictures.film(panels, SIZE)
+        pictures.write_film(folder / f"{name}.gif", frames, pictures.pictures_of(panels))
 
 
 def _circle2d(name: str, level: int) -> str:
@@ -107,7 +114,7 @@ def _circle2d(name: str, level: int) -> str:
             "near its middle. The direct way leads through the cost region; the way without cost "
             "leads round it, into the corridor on the far side.",
             LEVEL[level],
-            f"The film shows a scripted agent. {_world(config)}",
+            f"The film shows the policy `{shown_policy(name)}`. {_world(config)}",
             _physics() if physics else "",
         ],
         "Action space": [_space_table(name, "action_space", FORCED if physics else MOVED)],
