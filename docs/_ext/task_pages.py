@@ -126,7 +126,7 @@ def _circle2d(name: str, level: int) -> str:
             "With `sparse_reward=True` it is 1 more inside the corridor and the cut-outs, and 0 "
             "elsewhere.",
         ],
-        "Cost": ['`info["cost"]`: ' + rows['`info["cost"]`'][1] + ".", *_further(rows)],
+        "Cost": ['`info["cost"]`: ' + rows['`info["cost"]`'] + ".", *_further(rows)],
         "Start": [
             f"Uniform over the rectangle x in [{left:g}, {right:g}], y in [{low:g}, {high:g}] "
             "(world units), outside the cost region, at rest."
@@ -142,7 +142,7 @@ def _circle2d(name: str, level: int) -> str:
         ],
         "Versions": ["- v0: the paper's task. The first version of this package has it too."],
     }
-    return _page(name, sections)
+    return _page(name, f"{name}.gif", _properties(name), sections)
 
 
 def _family(family: str) -> str:
@@ -173,9 +173,9 @@ def _family(family: str) -> str:
     sections = {
         "Description": [_prose(task), ORIGINAL],
         "Variants": [_table(("id", "objects", "walls", "kinds of cost", "observation"), rows)],
-        "Action space": [f"{name}:\n\n{_tables(type(c))['action']}" for name, c in _agents()],
+        "Action space": [f"{name}:\n\n{_tables(type(c))['action']}" for name, c in AGENTS.items()],
         "Observation space": [
-            *(f"{name}:\n\n{_tables(type(c))['observation']}" for name, c in _agents()),
+            *(f"{name}:\n\n{_tables(type(c))['observation']}" for name, c in AGENTS.items()),
             lidars if first.lidars else "",
         ],
         "Reward": [_prose(task)],
@@ -235,10 +235,6 @@ def _velocity() -> str:
     return _safety_page("SafetyVelocity", FILMED["Velocity"], sections)
 
 
-def _agents() -> list[tuple[str, object]]:
-    return list(AGENTS.items())
-
-
 def _end(name: str) -> str:
     return f"After {gym.spec(name).max_episode_steps} steps the episode is truncated."
 
@@ -267,53 +263,44 @@ def _safety_arguments(name: str, changed: Iterable[str] = ()) -> str:
 def _safety_page(name: str, film: str, sections: dict[str, list[str]]) -> str:
     policy = shown_policy(film)
     shown = f"The policy `{policy}`" if policy else "An agent that draws its actions at random"
-    head = [f"# {name}", f"![A film of {film}](../../films/{film}.gif)", f"{shown}, on `{film}`."]
-    for title, parts in sections.items():
-        head += [f"## {title}", *filter(None, parts)]
-    return "\n\n".join(head) + "\n"
+    return _page(name, f"../../films/{film}.gif", f"{shown}, on `{film}`.", sections)
 
 
-def _page(name: str, sections: dict[str, list[str]]) -> str:
-    env = gym.spec(name)
-    short = name.rpartition("/")[2]
-    head = [
-        f"# {short}",
-        f"![A film of {short}]({short}.gif)",
-        _table(
-            ("property", "value"),
-            [
-                ("make one", f'`gym.make("{name}")`'),
-                ("make many", f'`gym.make_vec("{name}", num_envs=1024)`'),
-                ("action space", f"`{_space(name, 'action_space')}`"),
-                ("observation space", f"`{_space(name, 'observation_space')}`"),
-                ("steps of an episode", str(env.max_episode_steps)),
-                *[("the paper trains for", f"{n:,} steps") for n in _paper_steps(name)],
-            ],
-        ),
+def _page(name: str, film: str, about: str, sections: dict[str, list[str]]) -> str:
+    """Return a page. film: path of the film of a task; about: what follows below it."""
+    parts = [f"# {name}", f"![A film of {Path(film).stem}]({film})", about]
+    for title, own in sections.items():
+        parts += [f"## {title}", *filter(None, own)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _properties(name: str) -> str:
+    rows = [
+        ("make one", f'`gym.make("{name}")`'),
+        ("make many", f'`gym.make_vec("{name}", num_envs=1024)`'),
     ]
-    for title, parts in sections.items():
-        head += [f"## {title}", *filter(None, parts)]
-    return "\n\n".join(head) + "\n"
+    for kind in ("action", "observation"):
+        space = _space(name, f"{kind}_space")
+        # Gymnasium prints the bounds of a mixed box as arrays of many lines.
+        short = str(space) if len(str(space)) < 80 else f"Box of {space.shape}, {space.dtype}"
+        rows.append((f"{kind} space", f"`{short}`"))
+    rows.append(("steps of an episode", str(gym.spec(name).max_episode_steps)))
+    if name in PAPER_STEPS:
+        rows.append(("the paper trains for", f"{PAPER_STEPS[name]:,} steps"))
+    return _table(("property", "value"), rows)
 
 
-def _paper_steps(name: str) -> list[int]:
-    return [PAPER_STEPS[name]] if name in PAPER_STEPS else []
-
-
-def _space(name: str, attribute: str) -> str:
-    env = gym.make(name)
-    space = getattr(env, attribute)
-    env.close()
-    # Gymnasium prints the bounds of a mixed box as arrays of many lines.
-    return str(space) if len(str(space)) < 80 else f"Box of {space.shape}, {space.dtype}"
-
-
-def _space_table(name: str, attribute: str, meanings: tuple[str, ...]) -> str:
-    """Return the table of bounds of each number of a space."""
+def _space(name: str, attribute: str) -> Box:
     env = gym.make(name)
     space = getattr(env, attribute)
     env.close()
     assert isinstance(space, Box)
+    return space
+
+
+def _space_table(name: str, attribute: str, meanings: tuple[str, ...]) -> str:
+    """Return the table of bounds of each number of a space."""
+    space = _space(name, attribute)
     bounds = zip(meanings, space.low, space.high, strict=False)
     rows = [(str(k), *(m, f"{a:g}", f"{b:g}")) for k, (m, a, b) in enumerate(bounds)]
     assert len(rows) == space.shape[0]
@@ -340,16 +327,18 @@ def _extra(names: tuple[str, ...], steps: int) -> list[tuple[str, str, str]]:
     return [(f"`{name}`", f"`{defaults.get(name)!r}`", ARGUMENTS[name]) for name in shown]
 
 
-def _rows(cls: type) -> dict[str, tuple[str, str]]:
-    """Return the rows of the table in a docstring, by their first cell."""
+def _rows(cls: type) -> dict[str, str]:
+    """Return the last cell of each row of the table in a docstring, by the first cell."""
     lines = [line for line in inspect.cleandoc(cls.__doc__).splitlines() if line.startswith("|")]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-    return {first: (shape, _capital(meaning)) for first, shape, meaning in cells}
+    return {first: meaning[:1].upper() + meaning[1:] for first, _, meaning in cells}
 
 
-def _further(rows: dict[str, tuple[str, str]]) -> list[str]:
+def _further(rows: dict[str, str]) -> list[str]:
     own = [
-        f"- {key}: {rows[key][1]}" for key in rows if key.startswith("`info") and "cost" not in key
+        f"- {key}: {text}"
+        for key, text in rows.items()
+        if key.startswith("`info") and "cost" not in key
     ]
     return ["The info also holds", "\n".join(own)] if own else []
 
@@ -385,7 +374,3 @@ def _physics() -> str:
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     lines = [head, ("---",) * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
