@@ -323,8 +323,11 @@ def test_iterables_are_read_once(tmp_path):
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
-        ({"seeds": "ab"}, "seeds must be a tuple of integers, got .'ab'"),
-        ({"seeds": 2**41}, "seeds must be a tuple of integers, each at most 1099511627776, got"),
+        ({"seeds": "ab"}, "seeds must be a tuple of one or more integers, got .'ab'"),
+        (
+            {"seeds": 2**41},
+            "seeds must be a tuple of one or more integers, each at most 1099511627776, got",
+        ),
         ({"seeds": [3, -1]}, r"seeds must be in \[0, 1099511627776\], got \(3, -1\)"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"task_parameters": {"level": 3}}, "level is part of the task's id"),

@@ -50,7 +50,10 @@ REFUSED = {
     "index": ([1.5, "1", None], "an integer"),
     "kind": (["Adam", None, 1], "adam or sgd"),
     "flag": ([1, "no", None], "True or False"),
-    "sizes": ([(), [64], 64, (0,), (101, 5), (5.0,), (True,)], "a tuple of integers, each"),
+    "sizes": (
+        [(), [64], 64, (0,), (101, 5), (5.0,), (True,)],
+        "a tuple of one or more integers, each",
+    ),
     "scale": ([-1, 11.0, (), (1.0, -1.0), [1.0], "1"], "at least 0 and at most 10"),
     "every": ([0, 1.5, False], "at least 1|an integer"),
 }
