@@ -272,8 +272,8 @@ def resume(
     Folders train one after the other; a finished folder without `results.npz` gets the file, and
     one with it stays unchanged. steps: a new, greater number of environment steps for each run:
     finished trainings continue too, bit for bit as if they had had that number from the start.
-    on_epoch, progress: as in `train`. Raises UserError if a folder holds no runs,
-    another process trains there, every run failed, or runs already have more steps.
+    on_epoch, progress: as in `train`. Raises UserError if a folder holds no runs, another process
+    trains there, every run failed, or runs already have more steps.
     """
     if not folders:
         raise UserError("resume needs a folder of runs")

@@ -1,4 +1,4 @@
-"""What a Ray task costs beside the training in it, as in `docs/ray.md`; times are medians.
+"""Overhead of a Ray task beside the training in it, as in `docs/ray.md`; times are medians.
 
 A message is as large as a checkpoint, sent and written as by the launcher.
 

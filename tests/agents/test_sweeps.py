@@ -124,7 +124,7 @@ def test_a_sweep_names_the_error_and_the_line_of_a_training_that_failed(importab
 
 
 def test_a_grid_warns_of_runs_that_failed_beside_others(importable):
-    """As `train` does: the others count. With these seeds two runs of three meet a NaN."""
+    """The others count, as with `train`. With these seeds two runs of three meet a NaN."""
     (importable / "my_toys.py").write_text("import toys\n\ntoys.register()\n")
     more = {"steps": 200, "episodes": 1, "seeds": range(3), "backend": "numpy"}
     more |= {"task_parameters": {"poison": 0.0005}, "out": importable / "x"}
